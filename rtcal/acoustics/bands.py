@@ -95,7 +95,9 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
 
 
 def hertz(frequencies: Sequence[float] | Array) -> str:
-    """Return a list of bands as words of a sentence; "" without any band.
+    """Return the frequencies of bands as words of a sentence; "" if there is no band.
+
+    ``frequencies`` are centre frequencies in Hz.
 
     Examples
     --------
@@ -131,7 +133,9 @@ def labels(frequencies: Iterable[float]) -> list[str]:
 
 
 def span(frequencies: Sequence[float] | Array) -> str:
-    """Return as words of a sentence how many bands there are, and the first and the last of them.
+    """Return the number of bands, and the first and the last of them, as words of a sentence.
+
+    ``frequencies`` are centre frequencies in Hz.
 
     Examples
     --------
@@ -152,8 +156,8 @@ def span(frequencies: Sequence[float] | Array) -> str:
 def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
     """Return in words which of the known bands are chosen.
 
-    ``f`` are the centre frequencies in Hz; ``chosen`` and ``known`` are True for such bands,
-    (n_bands,).
+    ``f`` (n_bands,) are the centre frequencies in Hz. ``chosen`` (n_bands,) is True for the bands to
+    name, and ``known`` (n_bands,) for the bands that could be chosen, such as those with a measured T.
 
     Examples
     --------
@@ -174,13 +178,16 @@ def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
 def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") -> Array:
     """Return centre frequencies as an array (n_bands,) in Hz, checked and made nominal.
 
+    ``place`` is the name of the frequencies in error messages. A frequency within 1.5 % of a nominal
+    third-octave centre is replaced by it.
+
     Raises
     ------
     DataError
-        If there is no frequency, if one is not a finite positive number, if they do not increase, or if
-        all are below 20 Hz, or some below 10 Hz, as if in kHz. Also if one is 1.5 to 5 % off a nominal
-        third-octave centre, unless a neighbouring band is within a ratio of 1.2 (bands narrower than
-        third-octaves).
+        If there is no frequency, or if one is not a finite positive number; if the frequencies do not
+        increase; if all are below 20 Hz or some below 10 Hz, as if they were in kHz; or if one is 1.5
+        to 5 % off a nominal third-octave centre. The last rule does not apply to bands narrower than
+        third-octaves, which have a neighbouring band within a ratio of 1.2.
     """
     try:
         stated = [float(v) for v in frequencies]
@@ -226,7 +233,9 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
 
 
 def index(frequencies: Array, frequency: float) -> int | None:
-    """Return the index of the band within 1.5 % of a frequency in Hz, or None without such a band.
+    """Return the number of the band, from 0, that is within 1.5 % of a frequency in Hz, else None.
+
+    ``frequencies`` (n_bands,) are the bands' centre frequencies in Hz.
 
     Examples
     --------
@@ -238,7 +247,10 @@ def index(frequencies: Array, frequency: float) -> int | None:
 
 
 def is_middle(frequencies: Array) -> NDArray[np.bool_]:
-    """Return True for each band from 500 Hz to 2 kHz, (n_bands,); True for all bands if none is there.
+    """Return which bands are middle frequencies, 500 Hz to 2 kHz, as True or False, (n_bands,).
+
+    All bands count as middle frequencies if none lies in this range. ``frequencies`` (n_bands,) are in
+    Hz.
 
     Examples
     --------
@@ -264,8 +276,8 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
 def bandwidth_factor(frequencies: Array) -> float:
     """Return the bandwidth over the centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 
-    Neighbouring bands less than half an octave apart count as third-octaves. A single band counts
-    as an octave, the more common width.
+    ``frequencies`` (n_bands,) are centre frequencies in Hz. Neighbouring bands less than half an octave
+    apart count as third-octaves. A single band counts as an octave, the more common width.
     """
     if len(frequencies) < 2:
         return 0.71
@@ -289,7 +301,7 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     """Return the mean reverberation time T in s at middle frequencies.
 
     The mean is over the octaves 500 and 1000 Hz or their third-octaves; without these, over all bands.
-    ``t`` is T in s, (n_bands,), NaN where missing; the mean is NaN if all of T is missing.
+    ``t`` (n_bands,) is T in s, NaN where missing. The mean is NaN if T is missing in all of its bands.
 
     Examples
     --------
@@ -363,10 +375,11 @@ class Conversion:
         return np.where(self._index < 0, np.nan, values[..., self._index])
 
     def mean(self, values: Array, scale: Scale = ITSELF) -> Array:
-        """Return values (..., n_bands) converted to the wanted bands, (..., n_wanted), NaN if missing.
+        """Return values converted to the wanted bands, (..., n_wanted), NaN where a value is missing.
 
-        ``scale`` says what is averaged over third-octaves, such as `Observable.averaging`. By default
-        the values themselves are averaged, as for absorption coefficients and their sigma.
+        ``values`` (..., n_bands) are those in the bands that have values. ``scale`` is the quantity
+        that is averaged over third-octaves, such as `Observable.averaging`. By default it is the value
+        itself, as for absorption coefficients and their sigma.
         """
         parts = self._taken(checks.array("values", values))
         if parts.shape[-1] == 1:
@@ -374,9 +387,10 @@ class Conversion:
         return np.asarray(scale.inverse(scale.forward(parts).mean(-1)))
 
     def uncertainty(self, uncertainty: Array, values: Array, scale: Scale) -> Array:
-        """Return the standard uncertainty of converted values, (..., n_wanted).
+        """Return the standard uncertainty of values after their conversion, (..., n_wanted).
 
-        ``uncertainty`` and ``values`` are those of the measured values, (..., n_bands) each.
+        ``uncertainty`` and ``values``, (..., n_bands) each, are those before the conversion. ``scale``
+        is the quantity that is averaged over third-octaves, such as `Observable.averaging`.
         """
         if in_thirds(self.new) and not in_thirds(self.old):
             return np.asarray(np.sqrt(3) * self._taken(uncertainty)[..., 0])
@@ -400,7 +414,9 @@ def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
-    """Return the bands in Hz of ``frequencies`` that no ``wanted`` band is converted from.
+    """Return the bands in Hz that have values but are not used for any ``wanted`` band.
+
+    ``frequencies`` are the bands in Hz that have values.
 
     Examples
     --------
@@ -414,7 +430,10 @@ def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -> str:
-    """Return a sentence on how a quantity is converted; "" where all bands have the same width.
+    """Return a sentence on how a quantity is converted between bands; "" if nothing is converted.
+
+    ``frequencies`` are the bands in Hz that have values, and ``wanted`` those to convert to; nothing is
+    converted if all have the same width. ``quantity`` is the name of the quantity in the sentence.
 
     Examples
     --------
@@ -432,6 +451,9 @@ def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -
 
 def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T") -> list[str]:
     """Return notes on how a measurement is converted to a room's bands, and on bands that are left out.
+
+    ``measured`` and ``wanted`` are the bands in Hz of the measurement and of the room. ``quantity`` is
+    the name of the measured quantity in the notes.
 
     Examples
     --------

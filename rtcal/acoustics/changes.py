@@ -202,10 +202,12 @@ class TargetTable(FileTable):
 
 
 def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
-    """Return the target T that a file states, for bands given by their centre frequencies in Hz.
+    """Return the target range of T that a file states, by band.
 
-    Raises DataError if the file states both a standard and a limit of T, a ``group`` without a standard
-    that has it, or limits for another number of bands.
+    ``table`` is the file's table: a standard with its group of rooms, or the shortest and the longest T
+    in s. ``volume`` is that of the room in m³, and ``frequencies`` (n_bands,) are the centre
+    frequencies in Hz. Raises DataError if the file states both a standard and a limit of T, a ``group``
+    without a standard that has groups, or limits for another number of bands.
     """
     ends = {"low": table.low, "high": table.high}
     stated = [key for key, end in ends.items() if end is not None]
@@ -365,11 +367,13 @@ class Change:
         return self.add if self.by is None else self.by
 
     def exchanged(self, room: Room) -> tuple[float, Material | None]:
-        """Return the area in m² that the room's `surface` loses, and the added material with its area.
+        """Return the area in m² that the changed surface loses, and the added material with its area.
 
-        For pieces their number stands in place of the area. Raises DataError if the room has less of
-        the material, if more than `MOST_ADDED` is added, or if pieces have an area or a surface a
-        number.
+        The surface is the material of ``room`` that is covered, removed or opened; the area is 0 if no
+        surface changes, and the material is None if none is added. For pieces the number of pieces
+        stands in place of the area. Raises DataError if the room has less of the material than is
+        taken, if more than `MOST_ADDED` times the room's surface is added, or if an area is given for
+        pieces or a number for a surface.
         """
         taken, error = self.area or self.number or 0.0, 0.0
         stated = "area" if self.number is None else "number"
@@ -406,9 +410,10 @@ class Change:
         return taken, replace(new, area=taken, area_sigma=error)
 
     def apply(self, room: Room) -> Room:
-        """Return the room after this change; DataError if the room does not allow the change.
+        """Return the room after this change.
 
-        Where a material gets more area, the errors of its old and its new area add up.
+        If a material of the room gets more area, the errors of its old and its new area add up. Raises
+        DataError if the room does not allow the change.
         """
         if self.air is not None:
             return room.with_air(self.air)
@@ -454,14 +459,14 @@ def name_of(material: Material | str | None) -> str:
 def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     """Return the room after one or several changes, made in the given order.
 
-    The changed room has neither single surfaces nor a scene, because a change does not say which part
+    The changed room has neither single surfaces nor a scene, because a change does not state which part
     of a surface is covered.
 
     Raises
     ------
     DataError
-        If the room has no such surface or less of it, or a new material has the name but not the
-        coefficients of one of the room.
+        If the room has no such surface or less of it, or a new material has the name of a material of
+        the room but other coefficients.
 
     Examples
     --------
@@ -477,12 +482,13 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
 
 
 def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
-    """Return changes in which removing a material that lies on a surface uncovers that surface.
+    """Return the changes, with the surface that becomes bare where a material on it is removed.
 
-    The names of the room's surfaces say what lies on what (`rtcal.acoustics.room.lying_on`); other
-    materials are free-standing. Raises DataError for an object that is no `Change`, for a material of
-    which only a part lies on others, and for a surface of a closed box, in which only what was added is
-    free-standing.
+    The names of the room's surfaces state which material lies on which surface
+    (`rtcal.acoustics.room.lying_on`); all other materials are free-standing. Raises DataError for an
+    object that is no `Change`, and for a material of which only a part lies on other surfaces. In a
+    closed box, DataError is also raised for a removed surface that lies on no other and was not added
+    by one of the changes.
     """
     out = []
     added = {name_of(each.add) for each in changes if isinstance(each, Change)}
@@ -536,11 +542,23 @@ def placed(
 ) -> Placed:
     """Return the room after changes, with the area of each material by the direction that it faces.
 
-    ``shares``, by default those of `facing`, are the directions before. A covering faces as the surface
-    below it; where a part of a material that faces several directions is covered, each direction loses
-    the same share. ``changes`` may be the changed room itself. ``like`` is another state of the room,
-    which gives directions that the room lacks: materials face as there, new material faces as what it
-    replaces, and it is free-standing where it replaces nothing. Raises DataError as `changed`.
+    A covering faces the same way as the surface below it. If a part of a material that faces several
+    directions is covered, each direction loses the same share. Raises DataError for the reasons of
+    `changed`.
+
+    Parameters
+    ----------
+    before : Room
+        Room before the changes.
+    changes : sequence of Change, or Room
+        Changes in the given order, or the changed room itself.
+    like : Placed, optional
+        Another state of the room, for directions that the room does not give. Materials of both states
+        face the same way in both. New material faces the way of the material that it replaces, and is
+        free-standing if it replaces none.
+    shares : array (n_materials, 3), optional
+        Shares of each material's area that face x, y and z before the changes; by default those that
+        `facing` returns.
     """
     shares = facing(before) if shares is None else shares
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
@@ -613,7 +631,10 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
 
 
 def new_name(taken: Iterable[str], wanted: str) -> str:
-    """Return the wanted name, followed by a number if it looks the same as a name that is taken.
+    """Return a name that does not look like any of those taken: the wanted name, or one with a number.
+
+    ``taken`` are the names that exist already, and ``wanted`` is the name that is returned if it is
+    free.
 
     Examples
     --------
@@ -743,13 +764,14 @@ def read_variants(
 ) -> tuple[tuple[Variant, ...], Target | None]:
     """Return the variants of a room that a TOML text states, and its target of T if it states one.
 
-    New materials have one value per band of ``room``. ``catalogue`` returns a material for a name and
-    bands, as `rtcal.datasets.catalogue.material` does. Paths of ``simulated`` files are relative to
-    ``folder``.
+    ``content`` is the text. New materials in it must have one value per band of ``room``. ``catalogue``
+    is a function that returns a material for a name and bands, as `rtcal.datasets.catalogue.material`
+    does; with None the text cannot refer to a catalogue. ``folder`` is the folder to which paths of
+    ``simulated`` files in the text are relative.
 
     Raises DataError for an unknown key, a value that breaks a rule, a material that is neither in the
-    room nor in the text, a name that is given twice, a change that the room does not allow, or as
-    `target_of`.
+    room nor in the text, a name that is given twice, a change that the room does not allow, and for the
+    reasons of `target_of`.
     """
     file = read(VariantsFile, toml_table(content))
     new = _new_materials(file.material, room, catalogue)
@@ -895,9 +917,10 @@ class Treatment:
 def read_treatments(
     content: str, room: Room, catalogue: Catalogue | None = None
 ) -> tuple[tuple[Treatment, ...], Target, float]:
-    """Return the treatments that a TOML text states, its target of T, and the probability to reach it.
+    """Return the treatments that a TOML text states, its target of T, and the required probability.
 
-    Parameters and errors are those of `read_variants`.
+    The probability is that with which T must be within the target. ``content`` is the text; ``room``,
+    ``catalogue`` and the errors are those of `read_variants`.
     """
     file = read(TreatmentsFile, toml_table(content))
     new, treatments = _new_materials(file.material, room, catalogue), []
@@ -912,9 +935,10 @@ def read_treatments(
 
 
 def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
-    """Return the treatments once they are checked.
+    """Return the treatments as a tuple, once they are checked.
 
-    Raises DataError if there is none, if two have one name, or if one does not fit the room.
+    Raises DataError if there is no treatment, if two have the same name, or if one does not fit
+    ``room``.
     """
     listed = tuple(treatments)
     for treatment in listed:
@@ -944,12 +968,13 @@ NOT_KNOWN = (
 def facing(room: Room, geometry: Any = None) -> Array:
     """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
 
-    With a ``geometry``, a `rtcal.simulators.Polyhedron`, the directions are those of its faces: an
-    oblique face counts by the squares of its normal, and a material without a face is unknown. Without
-    it, the first of these that applies gives them: the ``axis`` of a surface; a name of a surface or
-    material that means floor, ceiling or wall (English, German, French, Spanish, Italian, Portuguese);
-    an area equal to that of faces of the box of the room's ``dimensions``; the rest of that box, or of
-    a room whose floor or ceiling is named. Walls without a box face x and y by halves.
+    With a ``geometry``, a `rtcal.simulators.Polyhedron`, the shares are those of its faces: an oblique
+    face counts by the squares of its normal's components, and a material without a face is unknown.
+    With None, the first of these rules that applies gives the shares: the ``axis`` of a surface; a name
+    of a surface or material that means floor, ceiling or wall (English, German, French, Spanish,
+    Italian, Portuguese); an area equal to that of faces of the box of the room's ``dimensions``; the
+    rest of that box, or of a room whose floor or ceiling is named. Walls without a box face x and y by
+    halves.
     """
     if geometry is not None:
         rows = {name: row for row, name in enumerate(room.materials)}
@@ -981,9 +1006,10 @@ def facing(room: Room, geometry: Any = None) -> Array:
 
 
 def enough_known(room: Room, shares: Array) -> bool:
-    """Return whether the directions of most of the room's absorption area are known.
+    """Return whether most of the room's absorption area is of materials with a known direction.
 
-    ``shares`` (n_materials, 3) are the directions of the materials, as `facing` returns them.
+    ``shares`` (n_materials, 3) are the shares of each material's area that face x, y and z, NaN if
+    unknown, as `facing` returns them.
     """
     unknown = np.isnan(shares).any(axis=1) & room.is_surface
     absorbed = (room.areas[:, np.newaxis] * room.alpha).sum(axis=1)
@@ -1023,7 +1049,9 @@ _NO_COMPOUNDS = ("leinwand", "vorwand", "gewand")
 
 
 def kind_of(name: str) -> str | None:
-    """Return "floor", "ceiling", "wall" or "floor and ceiling" if a name has a word for it, else None.
+    """Return the kind of surface that a name has a word for, such as "floor"; None without such a word.
+
+    The kinds are "floor", "ceiling", "wall", and "floor and ceiling" for a word that means both.
 
     Examples
     --------

@@ -42,7 +42,8 @@ _BINS = 2000  # of an exponential decay over twice its T
 class Comparison(Result):
     """Deviation of a simulation run from the measurement, by parameter, band and pair.
 
-    Each table is a mapping by parameter, such as ``"t20"``, to values (n_bands,) or (n_pairs, n_bands).
+    Each table is a mapping from a parameter, such as ``"t20"``, to values (n_bands,), or (n_pairs,
+    n_bands) for source-receiver pairs.
     """
 
     record_kind: ClassVar[str] = "comparison"
@@ -91,9 +92,9 @@ class Comparison(Result):
 
     @cached_property
     def deviation(self) -> dict[str, Array]:
-        """Deviation simulated - measured of the means over the pairs, in JND, (n_bands,) per parameter.
+        """Deviation of the simulated from the measured mean over the pairs, in JND, by parameter.
 
-        The parameter with the largest deviation is first.
+        It is simulated - measured, (n_bands,). The parameter with the largest deviation is first.
         """
         run, measured = self.sides
         found = {p: gap_jnd(run.mean(p), measured.mean(p), p) for p in measured.values}
@@ -113,9 +114,10 @@ class Comparison(Result):
 
     @cached_property
     def pair_uncertainty(self) -> dict[str, Array]:
-        """Standard uncertainty of the measured value at each pair in JND, (n_pairs, n_bands).
+        """Standard uncertainty of the measured value at each pair in JND, by parameter.
 
-        It is the measurement's; where none is stated, the reproducibility between measuring teams.
+        It is (n_pairs, n_bands). The measurement states the uncertainty; for a value without one it is
+        the standard deviation between measuring teams.
         """
         found, measured = {}, self.sides[1]
         for p in self.at_pairs:
@@ -128,11 +130,12 @@ class Comparison(Result):
 
     @cached_property
     def uncertainty(self) -> dict[str, Array]:
-        """Standard uncertainty of the mean `deviation` in JND, (n_bands,); NaN where it is unknown.
+        """Standard uncertainty of the mean `deviation` in JND by parameter, (n_bands,).
 
-        It combines the uncertainty of the measured mean with the one that the run states. If the
-        measurement states no uncertainty and pairs are compared, the spread of the deviations over the
-        pairs takes its place, because run and measurement share the spread of the values.
+        It is NaN where it is unknown. It combines the uncertainty of the measured mean with the
+        uncertainty that the run states. If the measurement states no uncertainty and pairs are
+        compared, the scatter of the deviations over the pairs replaces the scatter of the measured
+        values, because the values of run and measurement vary alike from pair to pair.
         """
         run, measured = self.sides
         found = {}
@@ -162,13 +165,13 @@ class Comparison(Result):
 
     @cached_property
     def coefficients(self) -> dict[str, Array]:
-        """Mean and standard deviation of the deviation that coefficients can explain, (2, n_bands).
+        """Mean and standard deviation of the deviation that errors of coefficients can explain, in JND.
 
-        Both are in JND. They follow through the equation's T from the sigma of the run's coefficients
-        and from the errors that these have in common (`rtcal.acoustics.room_errors`). The mean is 0 for
-        T20, or else T30. Other parameters follow T as in an exponential decay, so that a deviation of T
-        gives their mean. Coefficients of a calibrated room explain nothing, because they were chosen
-        for T.
+        They are (2, n_bands) by parameter, and follow from the sigma of the run's coefficients and from
+        the errors that all coefficients have in common (`rtcal.acoustics.room_errors`), by the change
+        of the equation's T. The mean is 0 for T20, or for T30 if T20 is not compared. Other parameters
+        change with T as in an exponential decay, so that the deviation of T gives their mean. The
+        coefficients of a calibrated room explain nothing, because they were chosen for T.
         """
         room, n = self.run.room, self.run.room.n_bands
         own_covariance = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
@@ -213,9 +216,9 @@ class Comparison(Result):
 
     @cached_property
     def explained(self) -> dict[str, NDArray[np.bool_]]:
-        """Whether the `coefficients` explain a disagreement, (n_bands,) of bool.
+        """Whether errors of the `coefficients` explain a disagreement, (n_bands,) of bool by parameter.
 
-        They do if what remains of the deviation is within one JND or twice its standard uncertainty.
+        They do if the rest of the deviation is within one JND or within twice its standard uncertainty.
         """
         return {
             p: where

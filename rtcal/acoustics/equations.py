@@ -98,7 +98,10 @@ def register(equation: type[E]) -> type[E]:
 
 
 def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
-    """Return the keys of the equations that are of a given class, in alphabetical order.
+    """Return the keys of the equations of one kind, in alphabetical order.
+
+    ``kind`` is the class of these equations, by default all. A key is the name of an equation in files
+    and options, such as "eyring".
 
     Examples
     --------
@@ -193,24 +196,27 @@ class LinearEquation(MeanEquation):
         return 1.0
 
     def time(self, room: Room, absorption_area: Array) -> Array:
-        """Return the reverberation time T in s for an absorption area of the surfaces in m².
+        """Return the reverberation time T in s, (..., n_bands), for an absorption area of the surfaces.
 
-        Both have the shape (..., n_bands).
+        ``absorption_area`` (..., n_bands) is in m².
         """
         checks.instance("room", room, Room)
         exponent = self.exponent(absorption_area / room.total_area)
         return self._time(room, room.total_area * exponent)
 
     def target(self, room: Room, t: Array) -> Array:
-        """Return the absorption area in m² that gives T in s, also if no coefficients reach it.
+        """Return the absorption area in m² that gives T, even if no coefficients reach it.
 
-        Both have the shape (..., n_bands). The area is below 0 where T is longer than the air alone
-        allows, and NaN where T is NaN or no mean absorption coefficient gives T.
+        The area is (..., n_bands). ``t`` (..., n_bands) is T in s. The area is below 0 if T is longer
+        than the air alone allows, and NaN if T is NaN or no mean absorption coefficient gives T.
         """
         return np.asarray(room.total_area * self.inverse(self.exponent_of_time(room, t)))
 
     def exponent_of_time(self, room: Room, t: Array) -> Array:
-        """Return the absorption exponent (k V / T - 4 m V) / S that gives T in s, (..., n_bands)."""
+        """Return the absorption exponent (k V / T - 4 m V) / S that gives T, (..., n_bands).
+
+        ``t`` (..., n_bands) is T in s.
+        """
         with np.errstate(over="ignore"):
             total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
         return np.asarray((total - 4 * room.air_attenuation * room.volume) / room.total_area)
@@ -218,7 +224,8 @@ class LinearEquation(MeanEquation):
     def target_sensitivity(self, room: Room, t: Array) -> Array:
         """Return the derivative of the absorption area by T in m²/s, (n_bands,).
 
-        It is negative, since a longer T needs less absorption.
+        The derivative is negative, because a longer T needs less absorption. ``t`` (n_bands,) is T in
+        s.
         """
         t = np.asarray(t, dtype=float)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
@@ -289,8 +296,9 @@ class LinearEquation(MeanEquation):
 def mean_equation(key: str, place: str = "equation") -> MeanEquation:
     """Return the equation with this key, whose T depends on one mean over the walls.
 
-    Raises DataError, which names ``place``, for an unknown key and for equations that treat the axes
-    apart, such as Fitzroy's.
+    ``key`` is the name of the equation in files and options, such as "eyring". Raises DataError, which
+    names the ``place`` of the key, for an unknown key and for equations that treat the axes separately,
+    such as Fitzroy's.
 
     Examples
     --------

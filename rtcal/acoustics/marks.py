@@ -107,8 +107,10 @@ def agreement(p_value: float | None, p_together: float | None = None) -> Agreeme
 
     They agree too well if T of the input coefficients is nearer to the measured T than the stated
     uncertainties make likely: an uncertainty is then too large, or T was calculated from these
-    coefficients. A deviation that coefficients explain which are off together is no contradiction
-    (``p_together``, as in `Plausibility`). None without a p-value.
+    coefficients. ``p_value`` is the probability of a larger deviation if input and measurement are
+    right; None if there is no such probability, and then the result is None. ``p_together`` is the same
+    probability if all coefficients may also be too high or too low together, None if unknown. There is
+    no contradiction if either probability is large enough.
     """
     if p_value is None:
         return None
@@ -184,7 +186,7 @@ class TrustMark:
     """Caution about one band or the whole room: a reason to doubt the result there.
 
     ``kind`` is the name of the reason, ``frequency`` the band in Hz (None for the whole room),
-    ``letter`` its sign in tables, ``text`` the fact and ``advice`` the next step.
+    ``letter`` the mark in tables, ``text`` the fact and ``advice`` the next step.
     """
 
     kind: str
@@ -347,12 +349,12 @@ FAR_ELSE = 10.0
 
 
 def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_]:
-    """Return True for values (n_bands,) that are far above or below those of the bands beside them.
+    """Return which values (n_bands,) are far above or below those of the bands beside them, as True.
 
     A jump between neighbouring bands begins a new group of bands, unless it leads back to an earlier
-    group. All values outside the largest group are far off, but none if two groups are equally large.
-    Values that are not above 0 count as missing. The first and the last band are judged only if
-    ``late``, for T20 and T30.
+    group. All values outside the largest group are far off, but none is if two groups are equally
+    large. Values that are not above 0 count as missing. ``late`` is True for T20 and T30, and False for
+    other parameters, whose values in the first and the last band are not judged.
     """
     found = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -381,8 +383,9 @@ def of_row(
 ) -> list[TrustMark]:
     """Return a caution for each value of one row (n_bands,) that is likely mistyped.
 
-    ``name`` is the printed name of the row, such as "T30 (S1 to R2)" or "alpha of floor". ``late`` says
-    whether the row is T20 or T30.
+    ``frequencies`` (n_bands,) are in Hz. ``name`` is the printed name of the row, such as "T30 (S1 to
+    R2)" or "alpha of floor", and ``unit`` the printed unit with its blank. ``late`` is True for T20 and
+    T30, and False for other quantities, whose first and last band are not judged.
 
     Examples
     --------
@@ -445,8 +448,9 @@ _CORRECTED = 0.2
 def surface_limits(room: Room, flattest: float = FLATTEST) -> tuple[float, float]:
     """Return the least and the largest likely surface of a room in m², from its size.
 
-    The size is that of its dimensions. Without them, the limits are 0.9 times the surface of a cube of
-    this volume, and the surface of a box that is ``flattest`` times as long and wide as high.
+    The limits follow from the room's dimensions. Without dimensions they follow from its volume: the
+    least is 0.9 times the surface of a cube, the largest the surface of a box that is ``flattest``
+    times as long and wide as high.
     """
     if room.dimensions is not None:
         box = _surface_of_box(*room.dimensions)
@@ -547,8 +551,9 @@ def of_unit(
 ) -> list[TrustMark]:
     """Return a caution if T is in another unit: off by one large factor in all bands.
 
-    ``times`` are the measured T and ``stated`` T of the input coefficients in s, (n_bands,), NaN where
-    missing. ``name`` and ``of`` name the two in the text.
+    ``times`` are the measured T in s and ``stated`` the T in s to compare with, such as that of the
+    input coefficients; both are (n_bands,), NaN where missing. In the caution's text ``name`` stands
+    for the first and ``of`` for the second.
 
     Examples
     --------
@@ -578,9 +583,9 @@ def of_input(
 ) -> tuple[TrustMark, ...]:
     """Return the cautions about a room and its measured T that are printed before every result.
 
-    ``times`` is the measured T in s, (n_bands,), NaN where missing; it is compared with Eyring's T of
-    the input coefficients. ``mistyped`` are the cautions about single values of T that `of_row`
-    returns.
+    ``times`` (n_bands,) is the measured T in s, NaN where missing, which is compared with Eyring's T of
+    the input coefficients; None if no T was measured. ``mistyped`` are the cautions about single values
+    of T that `of_row` returns.
     """
     marks = of_surface(room)
     if room.dimensions is not None:
@@ -645,12 +650,12 @@ _WIDE_SIGMA = 0.5
 def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     """Return a caution if absorption is so uneven that reverberation equations differ by over one JND.
 
-    T of Eyring's equation, in which all surfaces count alike, is compared with T of Arau-Puchades',
-    which treats the axes apart. ``shares`` (n_materials, 3) are the shares of each material's area that
-    face x, y and z, as `rtcal.acoustics.changes.facing` returns them; unknown ones count a third each.
-    Where most of the absorption has no known direction, the caution says that this could not be judged.
-    It is then given only if the equations would differ with all of the most absorbing material on one
-    axis.
+    T of Eyring's equation, in which all surfaces count alike, is compared with T of Arau-Puchades'
+    equation, which treats the axes separately. ``shares`` (n_materials, 3) are the shares of each
+    material's area that face x, y and z, as `rtcal.acoustics.changes.facing` returns them; a material
+    with unknown shares counts a third on each axis. If the direction of most of the absorption is
+    unknown, the caution is only given if the equations would differ with all of the most absorbing
+    material on one axis; it then says that the direction is unknown.
     """
     known, total = enough_known(room, shares), room.total_area
     absorbed = np.where(np.isnan(shares[:, 0]), room.areas * room.alpha.mean(axis=1), -1.0)
@@ -685,16 +690,18 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
 def z_within_bounds(
     room: Room, difference: Array, variance: Array, shift: Array, active: NDArray[Any]
 ) -> Array:
-    """Return z in bands where calibrated coefficients are at bounds, (n_bands,); NaN in other bands.
+    """Return z, the deviation of the input from T in sigmas, in bands with coefficients at bounds.
 
-    z is the distance in standard deviations from the input to the nearest coefficients within the
-    bounds that give the measured T (Hasofer & Lind 1974, J. Eng. Mech. Div. ASCE 100, 111-121). z² is
-    the sum of (shift / sigma)² over the coefficients at bounds, plus r² over its variance, where r is
-    the part of the difference that the other coefficients have to make up for.
+    z (n_bands,) is NaN in all other bands. It is the distance in standard deviations from the input to
+    the nearest coefficients within the bounds that give the measured T (Hasofer & Lind 1974, J. Eng.
+    Mech. Div. ASCE 100, 111-121). z² is the sum of (shift / sigma)² over the coefficients at bounds,
+    plus r² over its variance, where r is the part of the difference that the other coefficients have to
+    make up for.
 
-    ``difference`` and ``variance`` (n_bands,) are the absorption area that T needs less that of the
-    input coefficients, in m², and its variance without bounds. ``shift`` (n_materials, n_bands) is the
-    change of the coefficients; ``active`` is not 0 for those at a bound.
+    ``difference`` (n_bands,) is the absorption area that T needs less that of the input coefficients in
+    m², and ``variance`` (n_bands,) is its variance in m⁴ without bounds. ``shift`` (n_materials,
+    n_bands) is the change of the coefficients by the calibration. ``active`` (n_materials, n_bands) is
+    not 0 for coefficients at a bound.
 
     Examples
     --------

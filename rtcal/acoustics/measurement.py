@@ -67,7 +67,8 @@ def of_names(names: Iterable[str]) -> dict[str, str]:
     """Return the original name of each name that marks a repeat, such as ``R1`` for ``R1#2``.
 
     A number after # marks a repeat if the character before # is a digit, or if the name without the
-    number is also given. "Seat #1", "Seat #2" and "Seat #3" alone are three positions.
+    number is also among ``names``. "Seat #1", "Seat #2" and "Seat #3" alone are therefore three
+    positions, and are not in the result.
 
     Examples
     --------
@@ -98,9 +99,9 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
 
 
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
-    """Return the source-receiver pair that each pair is or repeats, (n_pairs,), by their names.
+    """Return for each pair the source-receiver pair that it is or repeats, (n_pairs,), by the names.
 
-    Raises DataError for names that look alike (`rtcal.support.checks.look_alike`).
+    Raises DataError for different names that look alike (`rtcal.support.checks.look_alike`).
     """
     of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]
@@ -128,6 +129,9 @@ def _mean_by_place(table: Array, placed: Sequence[Pair], power: int) -> Array:
 
 def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
     """Return a list with a note on pairs that were measured several times; empty without such pairs.
+
+    ``placed`` are the (source, receiver) of each measurement; a pair that occurs several times was
+    repeated.
 
     Examples
     --------
@@ -353,10 +357,11 @@ class Measurement:
     def refuse_other_units(self) -> None:
         """Raise DataError for decay times in ms, and for uncertainties in percent.
 
-        No room has a longer time in s than `Observable.refuse` accepts; shorter times than it does are
-        possible. An uncertainty is in percent if it is larger than the value or than the parameter's
-        whole range. Only measured data are checked, because a simulation with few paths may be so
-        uncertain, and its decay may have any length.
+        A decay time is taken to be in ms if it is longer than that of any room in s
+        (`Observable.refuse`); short decay times are accepted. An uncertainty is taken to be in percent
+        if it is larger than the value or than the parameter's whole range. Call this for measured data
+        only: in a simulation with few paths the uncertainty can be as large, and a decay can have any
+        length.
         """
         for parameter, table in self.values.items():
             kind, longest = observable(parameter), np.where(np.isfinite(table), table, -np.inf)
@@ -412,10 +417,11 @@ class Measurement:
         pairs: Sequence[tuple[str, str]],
         uncertainty: Mapping[str, Array] | None = None,
     ) -> Measurement:
-        """Return the room-acoustic parameters of energy decays (n_pairs, n_bands, n_bins).
+        """Return the measurement with the room-acoustic parameters of energy decays.
 
-        ``bin_width`` is the width of their time bins in s. ``uncertainty`` is the standard uncertainty
-        of each parameter by its name, (n_pairs, n_bands).
+        ``energy`` (n_pairs, n_bands, n_bins) is the energy in time bins of the width ``bin_width`` in
+        s, for bands in Hz and (source, receiver) pairs. ``uncertainty`` is the standard uncertainty of
+        each parameter by its name, (n_pairs, n_bands); None if it is not known.
 
         Raises
         ------
@@ -452,9 +458,9 @@ class Measurement:
         )
 
     def mean(self, parameter: str) -> Array:
-        """Return a parameter's arithmetic mean over the pairs that have it, (n_bands,), or NaN.
+        """Return a parameter's arithmetic mean over the pairs that have it, (n_bands,), else NaN.
 
-        Raises DataError for a name that is no parameter.
+        ``parameter`` is a key, such as ``"t20"``. Raises DataError for a name that is no parameter.
         """
         observable(parameter)
         if parameter not in self.values:
@@ -471,14 +477,15 @@ class Measurement:
         return " and ".join(sorted(used)) or TARGET.label
 
     def mean_uncertainty(self, parameter: str) -> Array:
-        """Return the standard uncertainty of a parameter's `mean`, (n_bands,), NaN where it is unknown.
+        """Return the standard uncertainty u of a parameter's `mean`, (n_bands,), NaN where unknown.
 
-        If all values of a band state an uncertainty, the mean's u follows from these as independent
-        errors. Otherwise, for T20 and T30, u² is the larger of s² / n_eff and the variance of
-        ISO 3382-2:2008, Eqs. 4 and 5 (N pairs, n = 10 decays). s is the standard deviation over the
-        pairs. n_eff is the larger of the numbers of sources and of receivers, because pairs that share
-        a source are not independent. A stated common uncertainty is added to u² as its square; u² from
-        the values' uncertainties is then at least s² / n_eff.
+        ``parameter`` is a key, such as ``"t20"``. If all values of a band state an uncertainty, u
+        follows from these as independent errors. Otherwise, for T20 and T30, u² is the larger of s² /
+        n_eff and the variance of ISO 3382-2:2008, Eqs. 4 and 5 (N pairs, n = 10 decays). s is the
+        standard deviation over the pairs. n_eff is the larger of the numbers of sources and of
+        receivers, because pairs that share a source are not independent. If a common uncertainty is
+        stated, its square is added to u², and the part of u² from the values' uncertainties is then at
+        least s² / n_eff.
 
         n_eff and N are at most `MAX_POSITIONS`, 12, because more pairs do not average out errors that
         all pairs share: equipment, evaluation, climate. For T = 1 s, N = 12 and octaves, ISO 3382-2's
@@ -652,7 +659,8 @@ class Measurement:
     def from_dict(cls, data: Mapping[str, Any]) -> Measurement:
         """Return the measurement from plain values, as `to_dict` returns them.
 
-        Raises DataError for an unknown key, a value that is no number, and as `Measurement`.
+        Raises DataError for an unknown key, a value that is no number, and for the reasons of
+        `Measurement`.
         """
         return cls(**msgspec.structs.asdict(read(MeasurementTable, data, "measurement")))
 
@@ -811,7 +819,8 @@ def of_single_values(
 ) -> dict[str, Any]:
     """Return the arguments of `Measurement` from single values by source, receiver, parameter and band.
 
-    Each row has ``value`` and the optional columns of the file that it states; NaN where missing.
+    ``rows`` has for each (source, receiver, parameter, frequency in Hz) the entry ``value`` and those
+    of the file's optional columns, such as the uncertainty. A value that no row has is NaN.
     """
     frequencies = {f: k for k, f in enumerate(sorted({key[3] for key in rows}))}
     pairs = {pair: i for i, pair in enumerate(dict.fromkeys(key[:2] for key in rows))}

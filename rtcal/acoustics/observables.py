@@ -55,8 +55,9 @@ Part = Literal["late", "early", "level"]
 class Observable(ABC):
     """Room-acoustic parameter, such as T20 or C80, and its calculation from an energy decay.
 
-    The observed quantity is the logarithm of a time, or the value of any other parameter: errors are
-    normal and effects nearly linear in it. An energy decay is the energy per time bin.
+    An energy decay is the energy in each time bin. The methods use an "observed quantity", in which
+    errors are normal and effects nearly linear: the logarithm of a time, or the value itself of any
+    other parameter.
     """
 
     key: ClassVar[str]
@@ -111,7 +112,8 @@ class Observable(ABC):
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return the derivative of the observed quantity by the energy of each time bin, (..., n_bins).
 
-        ``level`` is the decay curve in dB, as `decay_curve_db` returns it; ``bin_width`` is in s.
+        ``energy`` (..., n_bins) is the energy decay. ``level`` (..., n_bins) is its decay curve in dB,
+        as `decay_curve_db` returns it. ``bin_width`` is the width of a time bin in s.
         """
 
     @abstractmethod
@@ -119,10 +121,11 @@ class Observable(ABC):
         """Return a quantity linear in the absorption area that rises with the observed quantity."""
 
     def linear(self, observed: Array, stated: Array) -> Array:
-        """Return the deviation from ``stated`` values in a quantity linear in the absorption area.
+        """Return the deviation from reference values, in a quantity linear in the absorption area.
 
-        It is 0 at ``stated``, and near it the relative change of the absorption area, except for the
-        sign.
+        ``observed`` and ``stated`` are the observed quantity of the values and of the reference, such
+        as ln T. The deviation is 0 at the reference; near it, its size is the relative change of the
+        absorption area.
         """
         at = self.rate(stated)
         return np.asarray((self.rate(observed) - at) / np.abs(at))
@@ -175,8 +178,8 @@ class Observable(ABC):
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return the standard deviation of the observed quantity in one noise-like impulse response.
 
-        In a band of bandwidth B the energy of a bin of width w has the relative variance 1 / (B w).
-        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are the decay times T in s.
+        In a band of bandwidth B the energy of a time bin of width w has the relative variance 1 / (B
+        w). ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are the decay times T in s.
         """
         times = np.asarray(times, dtype=float)
         bandwidth = np.broadcast_to(bands.bandwidth_factor(frequencies) * frequencies, times.shape)
@@ -238,6 +241,8 @@ O = TypeVar("O", bound=Observable)  # noqa: E741
 def register(kind: type[O]) -> type[O]:
     """Add a room-acoustic parameter to `OBSERVABLES` (a class decorator).
 
+    ``kind`` is the class of the parameter.
+
     Raises
     ------
     DataError
@@ -268,8 +273,9 @@ def register(kind: type[O]) -> type[O]:
 def check_gradient(observable: Observable) -> None:
     """Raise DataError unless `Observable.gradient` is the derivative of the observed quantity.
 
-    It is checked for an exponential decay with T = 1 s in 200 bins of 10 ms. The energy of each bin is
-    changed by 1e-6 and by -1e-6 of it. Deviations above 1 % of the largest derivative are errors.
+    The derivative is compared with differences in an exponential decay with T = 1 s in 200 bins of 10
+    ms, in which the energy of each bin is changed by 1e-6 and by -1e-6 of it. Deviations above 1 % of
+    the largest derivative are errors.
     """
     width, step = 0.01, 1e-6
     energy = np.exp(-13.8 * width * np.arange(200.0))
@@ -342,8 +348,9 @@ _DECAYS = 10
 def decay_curve_db(energy: Array) -> Array:
     """Return the normalised decay curve of an energy decay in dB at the start of each time bin.
 
-    L_k = 10 lg(sum over j >= k of E_j / sum over all of E_j), so that L_0 = 0 (Schroeder 1965).
-    Minus infinity where no energy is left, NaN for a decay without energy.
+    ``energy`` (..., n_bins) is the energy per bin. L_k = 10 lg(sum over j >= k of E_j / sum over all of
+    E_j), so that L_0 = 0 (Schroeder 1965). L is minus infinity where no energy is left, and NaN for a
+    decay without energy.
     """
     # Summed from the end, where the numbers are small: a difference of large sums would round them.
     left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
@@ -352,11 +359,12 @@ def decay_curve_db(energy: Array) -> Array:
 
 
 def cut_off_db(energy: Array) -> Array:
-    """Return the level of the energy after the end of a decay, in dB re the whole energy, (...).
+    """Return the level of the energy that would follow the end of a decay, in dB re the whole energy.
 
-    The energy is extrapolated from the energies A and B of the last two quarters of the time:
-    B r / (1 - r), r = B / A. The level is infinite where the energy does not fall, and minus infinity
-    where the last quarter has no energy. For a double slope the late part counts.
+    ``energy`` (..., n_bins) is the energy per bin; the levels are (...). The energy after the end is
+    extrapolated from the energies A and B of the last two quarters of the time: B r / (1 - r), r = B /
+    A. The level is infinite where the energy does not fall, and minus infinity where the last quarter
+    has no energy. If the decay has two slopes, the late one counts.
     """
     quarter = energy.shape[-1] // 4
     if quarter == 0:
@@ -415,9 +423,11 @@ class DecaySlope(Relative):
         return np.where(self.too_short(energy), np.nan, self.of_curve(level, bin_width))
 
     def of_curve(self, level: Array, bin_width: float) -> Array:
-        """Return the decay times in s of decay curves in dB, (...), without a check of their end.
+        """Return the decay times in s of decay curves, (...), without a check of their end.
 
-        They are NaN where fewer than two points lie within the range, or the curve does not fall.
+        ``level`` (..., n_bins) are the decay curves in dB, ``bin_width`` the width of a time bin in s.
+        A decay time is NaN if fewer than two points lie within the range of levels, or if the curve
+        does not fall.
         """
         with np.errstate(invalid="ignore"):
             within = (level <= self.upper) & (level >= self.lower)
@@ -475,6 +485,7 @@ class DecaySlope(Relative):
         """Return the relative standard deviation of T from one decay, `one_decay` / sqrt(B T).
 
         Source: ISO 3382-2:2008, Eqs. 4 and 5, for T20 and T30; B is the bandwidth in Hz.
+        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are T in s.
         """
         bandwidth = bands.bandwidth_factor(frequencies) * frequencies
         with np.errstate(invalid="ignore"):
@@ -483,8 +494,10 @@ class DecaySlope(Relative):
     def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
         """Return the variance a² T (1 + b / n) / (N B) of a mean T over N positions with n decays.
 
-        The standard was not at hand; a and b are those of RWTH Aachen's ITA-Toolbox,
-        ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
+        The variance is in s². B is the bandwidth in Hz. ``frequencies`` (n_bands,) are in Hz, ``mean``
+        (n_bands,) is T in s and ``positions`` (n_bands,) is N. The standard was not at hand; a and b
+        are those of RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009),
+        which names EN ISO 3382.
         """
         if self.averages is None:
             return super().variance_of_mean(frequencies, mean, positions)
@@ -543,7 +556,7 @@ class EDT(DecaySlope):
 
 
 def longest(keys: Iterable[str]) -> DecaySlope:
-    """Return the parameter that needs the longest decay, among the decay times in ``keys`` and T20.
+    """Return the parameter that needs the longest decay, among T20 and the decay times in ``keys``.
 
     Examples
     --------
@@ -599,9 +612,11 @@ class Clarity(Observable):
             return np.asarray(10 * np.log10(early / late))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative DB (share / early - (1 - share) / late) by a bin's energy.
+        """Return the derivative of the clarity in dB by the energy of each time bin, (..., n_bins).
 
-        share is the part of the bin before the limit; early and late are energies.
+        The derivative is 10 / ln 10 times (share / early - (1 - share) / late), where share is the part
+        of the bin before the limit, such as 80 ms, and early and late are the energies before and after
+        it.
         """
         share = early_share(energy.shape[-1], bin_width, self.limit)
         early, late = energy @ share, energy @ (1 - share)
@@ -616,9 +631,10 @@ class Clarity(Observable):
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return the standard deviation of clarity in one noise-like impulse response, in dB.
 
-        In a window the energy of noise of bandwidth B has the relative variance 1 / (B t), where
-        t = (∫ e)² / ∫ e² of the decaying energy e. For the early sound of an exponential decay t is
-        2 (1 - a) / (k (1 + a)), for the late one 2 / k; k = 6 ln 10 / T, a = exp(-k limit).
+        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are T in s. In a time window, the
+        energy of noise of bandwidth B has the relative variance 1 / (B t), where t = (∫ e)² / ∫ e² of
+        the decaying energy e. In an exponential decay t is 2 (1 - a) / (k (1 + a)) for the early sound
+        and 2 / k for the late sound, with k = 6 ln 10 / T and a = exp(-k limit).
         """
         bandwidth = bands.bandwidth_factor(frequencies) * frequencies
         with np.errstate(invalid="ignore"):
@@ -734,9 +750,11 @@ class STI(Observable):
         return np.asarray(_index(np.abs(_transfer(energy, bin_width))).mean(-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative of STI by a bin's energy E_j.
+        """Return the derivative of STI by the energy of each time bin, (..., n_bins).
 
-        It is the mean over F of d TI / d m (Re(m* w_j) / |m| - |m|), divided by sum(E).
+        For the energy E_j of bin j it is the mean over the modulation frequencies of (dTI / dm) (Re(m*
+        w_j) / |m| - |m|), divided by sum(E), where m is the complex modulation transfer and w_j the
+        modulation at bin j.
         """
         ratio = _transfer(energy, bin_width)
         waves = np.stack([_wave(f, energy.shape[-1], bin_width) for f in MODULATIONS])
@@ -754,7 +772,9 @@ class STI(Observable):
     def overall(self, values: Array, frequencies: Array) -> Array:
         """Return the STI over the octaves from 125 Hz to 8 kHz, (...); NaN if one octave is missing.
 
-        Sum of alpha_k M_k - sum of beta_k sqrt(M_k M_k+1) (IEC 60268-16:2011, A.5.6), M by octave.
+        It is the sum of alpha_k M_k less the sum of beta_k sqrt(M_k M_k+1), where M_k is the modulation
+        transfer index of octave k (IEC 60268-16:2011, A.5.6). ``values`` (..., n_bands) are the
+        indices, ``frequencies`` (n_bands,) are in Hz.
         """
         listed = np.asarray(frequencies, dtype=float).tolist()
         if not set(_OCTAVES) <= set(listed):
@@ -882,7 +902,11 @@ class Ts(Relative):
             return np.asarray(energy @ middle / energy.sum(axis=-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative d ln Ts / d E_k = k / sum(E k) - 1 / sum(E) by a bin's energy."""
+        """Return the derivative of ln Ts by the energy of each time bin, (..., n_bins).
+
+        For bin k it is k / sum(E k) - 1 / sum(E), where E is the energy per bin and k counts bins from
+        0.5.
+        """
         k = np.arange(energy.shape[-1]) + 0.5
         return np.asarray(k / (energy @ k)[..., np.newaxis] - 1 / energy.sum(-1, keepdims=True))
 
@@ -916,9 +940,10 @@ def bins(bin_width: float) -> float:
 
 
 def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
-    """Return energy decays (..., n_bins) as an array; DataError for values that are no energy.
+    """Return energy decays (..., n_bins) as an array, once they are checked.
 
-    ``bin_width`` is the width of the bins in s.
+    ``energy`` (..., n_bins) is the energy per time bin, ``bin_width`` the width of the bins in s.
+    Raises DataError for a negative or infinite energy, and for a width that is not above 0.
     """
     checks.positive("bin_width", bin_width, "s")
     energy = checks.array("energy", energy)
@@ -976,11 +1001,11 @@ def parameters(
 def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Array:
     """Return the derivatives of parameters by the energy of each bin, (n_parameters, ..., n_bins).
 
-    For decay times and Ts they are derivatives of the logarithm. A decay time jumps a little where a
-    bin enters its range of levels; the derivative is that of the mean over the jumps.
-
-    Parameters and errors are those of `parameters`. The unit is 1 or dB over that of ``energy``. A
-    derivative is NaN where the decay is too short for the parameter.
+    ``energy`` (..., n_bins) is the energy per time bin, ``bin_width`` the width of the bins in s, and
+    ``parameters`` are keys, such as ``"t20"``. For decay times and Ts they are derivatives of the
+    logarithm; the unit is 1 or dB over that of ``energy``. A decay time jumps a little where a bin
+    enters its range of levels; the derivative is that of the mean over the jumps. A derivative is NaN
+    where the decay is too short for the parameter. Errors are those of the function `parameters`.
     """
     energy = checked_decay(energy, bin_width)
     level = decay_curve_db(energy)
