@@ -206,20 +206,14 @@ def conclude(
 ) -> Claim:
     """Return what is identified, by rules that are the same for every kind of data.
 
-    Parameters
-    ----------
-    detected : {"none", "hint"} or None
-        Verdict if nothing is detected; None if something is detected.
-    probabilities, families : mapping of str to float
-        Probabilities of single effects, and of groups of effects, the most probable first.
-    by_family_alone : collection of str
-        Names of the effects of which only the group can be identified (`Effect.alone`).
-    reasons : sequence of Reason
-        Doubts about the most probable effect; `LEAVES` has the verdict that each doubt leaves.
-    weak : Reason, optional
-        Reason why the data are too weak (`too_weak`): the verdict is then a hint, unless an effect or a
-        group is identified. If the reason is that the difference may be a geometrical program's own
-        error (`of_program`), nothing is identified.
+    ``detected`` is the verdict "none" or "hint" if nothing is detected, and None if something is.
+    ``probabilities`` of effects, and those of groups in ``families``, have the most probable first.
+    ``by_family_alone`` are effects of which only the group can be identified (`Effect.alone`).
+    ``reasons`` are doubts about the most probable effect, and `LEAVES` has the verdict that each doubt
+    leaves. ``weak`` is the reason why the data are too weak (`too_weak`): the verdict is then a hint,
+    unless an effect or a group is identified. If this reason is that the difference may be a
+    geometrical program's own error (`of_program`), nothing is identified. None means that the data are
+    not too weak.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):

@@ -44,21 +44,10 @@ def with_columns(
 ) -> tuple[Array, Array]:
     """Return r' (C + U U')⁻¹ r and ln sqrt|C + U U'| from products with C⁻¹ (Woodbury's identity).
 
-    Parameters
-    ----------
-    square : array (..., m)
-        r' C⁻¹ r of m residuals r.
-    half : array (..., 1)
-        ln sqrt|C| of the covariance C.
-    across : array (..., n_columns, m)
-        U' C⁻¹ r, with the further error columns U.
-    inner : array (..., n_columns, n_columns)
-        U' C⁻¹ U.
-
-    Returns
-    -------
-    tuple of arrays (..., m) and (..., 1)
-        The two results, in the shapes of ``square`` and ``half``.
+    C is a covariance of m residuals r, and U are further errors, (m, n_columns). ``square`` (..., m) is
+    r' C⁻¹ r, and ``half`` (..., 1) is ln sqrt|C|. ``across`` (..., n_columns, m) is U' C⁻¹ r, and
+    ``inner`` (..., n_columns, n_columns) is U' C⁻¹ U. The results have the shapes of ``square`` and
+    ``half``.
     """
     factor = np.asarray(np.linalg.cholesky(inner + np.eye(inner.shape[-1])), dtype=float)
     whitened = np.array(across.swapaxes(-2, -1), order="C")
@@ -128,25 +117,11 @@ def leading_products(
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield ln sqrt|C| and products x C⁻¹ y' of rows x and y, for leading parts of covariances C.
 
-    The leading parts share one Cholesky factor, so that all of them cost little more than the largest.
-    Both arrays are overwritten. Raises LinAlgError if a covariance is not positive definite.
-
-    Parameters
-    ----------
-    covariance : array (n, m, m)
-        Covariances C.
-    rows : array (n, d, m)
-        Rows x and y.
-    first : int
-        Number of rows for which only the squares x C⁻¹ x' are wanted.
-    ends : sequence of int
-        Sizes of the leading parts, rising.
-
-    Yields
-    ------
-    tuple of four arrays
-        ln sqrt|C| (n, 1); squares of the first rows (n, first); products of the other rows with the
-        first ones (n, d - first, first), and with one another (n, d - first, d - first).
+    ``covariance`` (n, m, m) are the covariances, ``rows`` (n, d, m) the rows, and ``ends`` the rising
+    sizes of the leading parts. The parts share one Cholesky factor, so that all of them cost little
+    more than the largest. The products are the squares of the ``first`` rows (n, first), those of the
+    other rows with the first ones (n, d - first, first), and those of the others with one another. Both
+    arrays are overwritten. Raises LinAlgError if a covariance is not positive definite.
     """
     # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
     for i, matrix in enumerate(covariance):

@@ -47,29 +47,31 @@ def find(
     Parameters
     ----------
     room : Room, or a case
-        Room, or a case that contains the measurement: a `rtcal.finder.Case` with several configurations
-        or another equation, or a `rtcal.finder.PositionsCase` with a simulator.
-    measured : Measurement
+        Room with its input coefficients, or a case that contains the measurement: a `rtcal.finder.Case`
+        with several configurations or another equation, or a `rtcal.finder.PositionsCase` with a
+        simulator.
+    measured : Measurement, optional
         Measurement of the room; not given with a case.
     simulator : PathTracing, optional
         Simulator of the room; by default a path tracing of the room's scene, if it has one.
     before : Measurement, optional
         Measurement at the same positions before a change. rtcal then finds this change, instead of what
-        the model lacks (`rtcal.finder.states`), and does not use the room's coefficients. ``controls``,
-        ``cache``, ``progress`` and ``scheduler`` cannot be given with it.
+        is missing from the model (`rtcal.finder.states`), and does not use the room's coefficients.
+        ``controls``, ``cache``, ``progress`` and ``scheduler`` cannot be given with it.
     simulated : Run, optional
-        Values that a simulation program gave, with the coefficients that it used. They are then the
-        model, and the equation gives only their change with coefficients and effects. Errors of the
-        equation are then not taken for errors of the room.
+        Values of a simulation program, with the coefficients that it used. These values replace the
+        results of the equation, which then only gives their change with coefficients and effects, so
+        that errors of the equation are not taken for errors of the room.
     program : {"", "geometrical"}
         Kind of this program, for means over positions. A geometrical program uses no equation, and
-        includes an uneven sound field, or a second room that you drew. Neither is taken for an error.
+        simulates uneven sound fields, and a second room that you drew. A difference that only these
+        effects explain is not reported as an error of the room's model.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, if rtcal traces the room's
         mesh and you give no ``simulator``.
     seed : int
         Seed of the random numbers at positions and for two states. For means over positions it has no
-        effect, because their simulated rooms are fixed sequences.
+        effect, because the random numbers of their reference rooms are fixed.
     **options
         - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. At
           positions, an effect on surfaces is tried on each surface (`Effect.stands_on`). For two
@@ -81,7 +83,7 @@ def find(
         - ``cache``: folder in which simulations are kept for the next search.
         - ``progress``: function that is called with the name of the step, and with the numbers of
           finished and of all steps.
-        - ``scheduler``: address of a Dask scheduler whose workers simulate, by default this machine.
+        - ``scheduler``: address of a Dask scheduler whose workers simulate; by default this machine.
         - ``prior`` and ``most``, for means over positions only: see `rtcal.finder.means.search.find`.
 
     Returns

@@ -103,21 +103,12 @@ _INTERVAL = (0.05, 0.95)
 class Hypotheses:
     """Hold the possible changes between two states: none, or a spectrum of some size added or removed.
 
-    Each change is tried with the same climate in both states, and with different climates.
-
-    Attributes
-    ----------
-    names, families : tuple of str
-        Name of each of the n changes, and of its group.
-    log_weight : array (n,)
-        Log prior probabilities; the probabilities sum to 1.
-    size : array (n, n_bands)
-        Absorption area in m² before saturation, above 0 where T is shorter in the second state, and 0
-        where nothing changed.
-    covariance : array (n, n_bands, n_bands)
-        Covariance of the error of ln |size|.
-    of_air : array (n,) of bool
-        Whether the climate differs between the two states.
+    Each change is tried with the same climate in both states, and with different climates. ``names``
+    and ``families`` are those of the n changes and of their groups. ``log_weight`` (n,) are log prior
+    probabilities, whose probabilities sum to 1. ``size`` (n, n_bands) is an absorption area in m²
+    before saturation, above 0 where T is shorter in the second state, and 0 where nothing changed.
+    ``covariance`` (n, n_bands, n_bands) is that of the error of ln |size|. ``of_air`` (n,) is whether
+    the climate differs.
     """
 
     names: tuple[str, ...]

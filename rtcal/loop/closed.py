@@ -77,8 +77,9 @@ Weights = Mapping[str, float | Sequence[float]]
 class Matched:
     """Hold the mean decay times over the pairs that a loop matches: T20 alone, or T20 and EDT together.
 
-    ``measured`` has the measured times of each parameter in s, (n_bands,), NaN where missing; T20 (or
-    T30 in its place) is first. ``shares`` are the parameters' weights, which sum to 1 in each band.
+    ``measured`` has the measured times of each parameter in s, (n_bands,), NaN where missing. The first
+    one is T20, or T30 if T20 was not measured. ``shares`` are the weights of the parameters, which sum
+    to 1 in each band.
     """
 
     measured: Mapping[str, Array]
@@ -133,8 +134,8 @@ class Matched:
     def noise(self, measurement: Measurement) -> Array:
         """Return the standard error in s of the simulated time that is compared, (n_bands,).
 
-        It is 0 if the simulator gives none, and NaN if it is unknown. T20 and EDT come from the same
-        paths, so that their errors are added as if fully correlated.
+        It is 0 if the simulator gives no standard error, and NaN if the error is unknown. T20 and EDT
+        come from the same paths, so that their errors are added as if fully correlated.
         """
         time = self.combined(measurement.mean)
         total = np.zeros(len(time))
@@ -149,10 +150,11 @@ class Matched:
 def matched_times(
     room: Room, measured: Measurement, data: MeasuredTimes, weights: Weights | None = None
 ) -> Matched:
-    """Return the measured times that a loop matches, with these weights of T20 and EDT.
+    """Return the measured decay times that a loop matches.
 
-    ``data`` is the measured T in the room's bands. Raises DataError for a weight below 0 or of another
-    parameter, if all weights of a band are 0, or if a parameter with a weight was not measured.
+    ``data`` is the measured T in the room's bands. ``weights`` are those of T20 and EDT; None means T20
+    alone. Raises DataError for a weight below 0 or of another parameter, if all weights of a band are
+    0, or if a parameter with a weight was not measured.
     """
     stated = {TARGET.key: 1.0} if weights is None else checks.mapped("weights", weights)
     for name in stated:
@@ -260,12 +262,13 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class ParameterGap:
-    """Hold the deviations of one parameter before and after the loop, as means over the pairs.
+    """Hold the deviations of one parameter before and after a loop, as means over the pairs.
 
-    Arrays are (n_bands,). ``means`` are the values "measured", "before" and "after", NaN where there is
-    none. ``before`` and ``after`` are deviations from the measurement in JND. For a matched parameter,
-    ``share`` is its weight over the sum of the weights. ``lost`` is the number of JND by which its
-    deviation exceeds that of the weighted mean, 0 for a single matched parameter.
+    Arrays are (n_bands,). ``means`` has the values "measured", "before" and "after", NaN where there is
+    none. ``before`` and ``after`` are simulated minus measured values in JND. If the loop matches the
+    parameter, ``share`` is the parameter's weight as a share of all weights. ``lost`` is the number of
+    JND by which the deviation of a matched parameter exceeds that of the weighted mean; it is 0 if only
+    one parameter is matched.
     """
 
     means: Mapping[str, Array]
@@ -279,9 +282,9 @@ class ParameterGap:
 class Loop(Result):
     """Hold a closed loop with a simulator: its simulations, the next coefficients and the result.
 
-    `start` returns a new loop, and `record` the loop after a further simulation; a loop itself does not
-    change. `save` and `load` keep it in a file between two runs of a program.
-    `rtcal.calibrate_simulator` runs a whole loop, with the simulations before and after it.
+    `start` returns a new loop, and `record` returns the loop after a further simulation; a loop itself
+    does not change. `save` and `load` keep the loop in a file between two runs of a simulation program.
+    `rtcal.calibrate_simulator` runs a whole loop with a simulator that rtcal can call.
 
     Examples
     --------
@@ -362,8 +365,8 @@ class Loop(Result):
     def calibrated(self, target: Array) -> CalibrationResult:
         """Return the calibration of the reverberation equation to a target T in s, (n_bands,).
 
-        If no alpha within 0 and 1 gives the target, the nearest possible T is used. Volume, areas and
-        climate count as exact, so that each target changes only the coefficients.
+        If no alpha from 0 to 1 gives the target, the nearest possible T is used. Volume, areas and
+        climate count as exact, so that a target changes only the coefficients.
         """
         if not self._problems:
             room = self.prior.as_exact
@@ -411,10 +414,10 @@ class Loop(Result):
 
     @property
     def goal(self) -> Array:
-        """Deviation in JND at which a band is done, (n_bands,): tolerance minus the simulator's noise.
+        """Largest deviation in JND at which a band is done, (n_bands,): the tolerance minus the noise.
 
-        It is at least half the tolerance, because a deviation below the noise cannot be shown. Unknown
-        noise counts as large.
+        The noise is that of the simulator, and counts as large if it is unknown. The goal is at least
+        half the tolerance, because a deviation below the noise cannot be shown.
         """
         noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
@@ -503,8 +506,9 @@ class Loop(Result):
     def of_uncertain_room(self) -> CalibrationResult | None:
         """Calibration to the targets of `outcome` that also adjusts volume, areas and climate.
 
-        Its coefficients change less than those of the loop. The simulator has the input room and would
-        not give the measured T with them. None for a room whose volume, areas and climate are exact.
+        Its coefficients change less than those of the loop. The simulator would not give the measured T
+        with these coefficients, because it simulates the input volume, areas and climate. The result is
+        None if volume, areas and climate of the room are exact.
         """
         if not self.prior.is_uncertain or not self.steps:
             return None
@@ -523,8 +527,8 @@ class Loop(Result):
     def status(self) -> tuple[str, ...]:
         """Status of each band, such as "converged": one of `STATUSES`.
 
-        A converged band is confirmed if the noise of `final` is within the tolerance, and the deviation
-        is within the tolerance plus the noise.
+        A converged band is confirmed if the noise of the simulation `final` is within the tolerance,
+        and its deviation is within the tolerance plus the noise.
         """
         status = self._status_of_steps
         if self.final is None:
@@ -583,9 +587,9 @@ class Loop(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Cautions about input and result, such as coefficients at 0 or 1 or far from your input.
 
-        They are the `doubts`, and cautions for coefficients that moved by more than two sigma, for
-        curved measured decays, and for bands of `low` with too few modes. A small deviation alone
-        confirms nothing, because a simulator can give almost any T.
+        They are the `doubts`, and cautions for coefficients that changed by more than two sigma, for
+        curved measured decays, and for the low bands (`low`) with too few modes. A small deviation
+        alone does not confirm the result, because a simulator can give almost any T.
         """
         return self._marks_of(self.outcome)
 
@@ -611,19 +615,20 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return a caution if a simulated T is wrong by a power of ten, as with a wrong unit, else [].
+        """Return a caution if a step's simulated T is wrong by a power of ten, as with a wrong unit.
 
-        The expected T follows from the step before, ``last``, or from the equation if it is None.
+        The list is empty otherwise. The expected T follows from the step before, ``last``, or from the
+        equation if ``last`` is None.
         """
         of = "the one that the coefficients give by the equation"
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
     def follows(self, step: Step, last: Step) -> bool:
-        """Return whether a step's simulated T changed as its coefficients did.
+        """Return whether a step's simulated T changed as its coefficients did since the step ``last``.
 
-        If the coefficients change the equation's T by more than a JND, simulated T must change by at
-        least a tenth of this, all bands together. In halls with concentrated absorption it changes by
-        about half.
+        If the coefficients change the equation's T by more than one JND, the simulated T must change by
+        at least a tenth of that, in all bands together. In halls with concentrated absorption it
+        changes by about half.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             wanted = np.log(self._expected(step, last) / last.simulated)
@@ -640,8 +645,8 @@ class Loop(Result):
         """T in s to which the equation is calibrated next, (n_bands,), NaN without a measured T.
 
         If any band needs another simulation, converged bands with a deviation above half their goal are
-        moved too; each band keeps its best step. A band without any T20 so far gets the equation's T
-        for the input coefficients. A target goes at most halfway towards one that gave no T20.
+        also changed; each band keeps its best step. A band without any T20 so far gets the equation's T
+        for the input coefficients. A target moves at most halfway towards one that gave no T20.
         """
         if not self.steps:
             return self.wanted.copy()
@@ -669,7 +674,7 @@ class Loop(Result):
 
     @property
     def next_alpha(self) -> Array:
-        """Coefficients to simulate next, (n_materials, n_bands), as the program reads them.
+        """Coefficients to simulate next, (n_materials, n_bands), with the program's number of decimals.
 
         Bands that are done keep the coefficients of their best step.
         """
@@ -729,8 +734,9 @@ class Loop(Result):
     ) -> Loop:
         """Return the loop after a simulation of `next_alpha`, or of the input coefficients.
 
-        If a band has lost the T20 that it had in an earlier step, its target moves back towards that
-        step. After the loop is finished, one more simulation with its final coefficients confirms them.
+        If a band has lost the T20 that it had in an earlier step, its target moves back towards the
+        target of that step. After the loop is finished, one more simulation with its final coefficients
+        confirms them.
 
         Parameters
         ----------
@@ -739,15 +745,16 @@ class Loop(Result):
         simulated : Measurement
             Values that the simulator gave, in the room's bands, with T20.
         without_t20 : sequence of int, optional
-            Numbers of the bands whose T20 in ``simulated`` belongs to other coefficients.
+            Numbers of the bands without a T20 for ``alpha``; their T20 in ``simulated`` belongs to
+            other coefficients.
         stated : bool
             Whether ``alpha`` are your input coefficients, and not `next_alpha`.
 
         Raises
         ------
         DataError
-            If the loop is finished and its end was simulated, alpha does not fit the room, or the
-            measurement has other bands or lacks a T20: for some pair in the first step, or in every
+            If the loop is finished and its result was simulated, if alpha does not fit the room, or if
+            the measurement has other bands or lacks a T20: for some pair in the first step, or in every
             measured band.
         """
         if self.after is not None:
@@ -830,7 +837,8 @@ class Loop(Result):
     def load(cls, path: str | os.PathLike[str], room: Room | None = None) -> Loop:
         """Return the loop in a file that `save` wrote.
 
-        Raises DataError if the file holds no loop, or a loop of another room than ``room``.
+        Raises DataError if the file contains no loop, or if ``room`` is given and the loop is of
+        another room.
         """
         loop = load(path)
         if not isinstance(loop, Loop):
@@ -980,9 +988,10 @@ def start(
     Parameters
     ----------
     room : Room or ModesResult
-        Room with your input alpha and sigma. A result of ``calibrate_modes(room, ...)`` without T
-        replaces T below the Schroeder frequency, and its coefficients stay there. In large rooms with
-        hard walls, make sigma proportional to alpha: equal sigmas drive hard walls to alpha = 0.
+        Room with your input alpha and sigma. In a result of ``calibrate_modes(room, ...)`` without T,
+        the measured modes replace T below the Schroeder frequency, and the loop keeps their
+        coefficients. In large rooms with hard walls, make sigma proportional to alpha: equal sigmas
+        drive hard walls to alpha = 0.
     measured : Measurement
         Measurement of the room, whose mean T20, or T30, over the pairs is matched.
     rule : {"secant", "safeguarded"}
@@ -1007,8 +1016,8 @@ def start(
     Raises
     ------
     DataError
-        If an argument breaks its rule, the room was already calibrated to these data, or the run is of
-        another room or lacks a T20. Other bands, and a room without air, give a warning.
+        If an argument breaks its rule, if the room was already calibrated to these data, or if the run
+        is of another room or lacks a T20. Other bands, and a room without air, give a warning.
     """
     low = room.in_loop(measured) if isinstance(room, ModesResult) else None
     prior = room.prior if isinstance(room, ModesResult) else checks.instance("room", room, Room)
@@ -1269,10 +1278,11 @@ def refuse_progress(state: str) -> None:
 
 
 def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
-    """Raise DataError if a table of simulated T is probably the wrong file.
+    """Raise DataError if the simulated T of a step was probably read from the wrong file.
 
-    This is so if its T equals the measured T or that of an earlier step to the last digit, differs by a
-    power of ten from the expected T, or does not follow the coefficients.
+    The file is probably wrong if its T equals the measured T or that of an earlier step to the last
+    digit, differs by a power of ten from the expected T, or does not change as the coefficients do.
+    ``table`` is the name of the file.
     """
     doubt, last = "", loop.steps[-1] if loop.steps else None
     same = [
@@ -1308,9 +1318,9 @@ def record(
 ) -> Loop:
     """Return the loop after a simulation that was read from the file ``table``.
 
-    ``loop`` was read from the file ``state``, and ``out`` is the file of the room that was to be
-    simulated. Raises DataError for a table that is probably the wrong one (`refuse_doubtful`), unless
-    ``again`` is True; also for a finished loop, and if ``out`` is not the room to simulate.
+    ``loop`` was read from the file ``state``, and ``out`` is the file of the room to simulate. Raises
+    DataError for a table that is probably the wrong one (`refuse_doubtful`), unless ``again`` is True;
+    also for a finished loop, and if the room in ``out`` is not the one to simulate.
     """
     if loop.after is not None:
         raise DataError(
@@ -1337,9 +1347,10 @@ def record(
 
 
 def write(loop: Loop, state: str, out: str) -> str:
-    """Write the loop and the room to simulate, both files or none, and return in words the next step.
+    """Write the loop and the room to simulate into two files, and return the next step in words.
 
-    ``state`` and ``out`` are the names of these files.
+    ``state`` is the name of the loop's file, ``out`` that of the room's. Both files are written, or
+    none.
     """
     room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
     n, of = loop.simulations, f"of the loop in {Path(state).name!r}"
@@ -1381,8 +1392,9 @@ _SLOPES = (0.3, 3.0)
 def secant(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
     """Return the next target T in s by the secant through the last two targets.
 
-    ``rates`` are the simulated decay rates, ``wanted`` the measured one. The result may be outside the
-    range of the equation, and may be negative.
+    ``targets`` are the targets so far in s, and ``rates`` the decay rates that were simulated for them.
+    ``wanted`` is the measured decay rate. The result may be outside the range ``low`` to ``high`` of
+    the equation's T, and may be negative.
 
     References
     ----------
@@ -1397,11 +1409,12 @@ def secant(targets: Array, rates: Array, wanted: float, low: float, high: float)
 
 
 def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return a band's next target by a secant step in logarithms that stays between safe limits.
+    """Return a band's next target T in s by a secant step in logarithms within safe limits.
 
-    The first slope is 1, and later slopes are limited. The limits are the highest target whose
-    simulated decay rate was too low, and the lowest whose rate was too high. A step that would pass a
-    limit goes to the middle between them, or to the end of the range of the equation.
+    The parameters are those of `secant`. The first slope is 1, and later slopes are limited. The limits
+    are the highest target whose simulated decay rate was too low, and the lowest target whose rate was
+    too high. A step beyond a limit is replaced by one to the middle between the limits, or to the end
+    of the equation's range.
     """
     u, v, w = np.log(targets), np.log(rates), np.log(wanted)
     slope = 1.0
@@ -1425,10 +1438,11 @@ RULES: dict[str, Callable[[Array, Array, float, float, float], float]] = {
 def next_target(
     rule: str, targets: Array, times: Array, wanted: float, shortest: float, longest: float
 ) -> float:
-    """Return the next target T in s of a band, by a key of `RULES`, within the range of the equation.
+    """Return the next target T in s of a band, within the range of the equation.
 
-    ``targets`` so far, and the simulated ``times`` for them, are in s, (n_steps,). ``wanted`` is the
-    measured T. ``shortest`` and ``longest`` are the ends of the equation's range.
+    ``rule`` is a key of `RULES`. ``targets`` are the targets so far in s, and ``times`` the T in s that
+    were simulated for them, (n_steps,) each. ``wanted`` is the measured T. ``shortest`` and ``longest``
+    are the ends of the equation's range.
     """
     rate = RULES[rule](1 / targets, 1 / times, 1 / wanted, 1 / longest, 1 / shortest)
     if rate <= 0:  # the secant rule has no valid target: keep the last one

@@ -94,9 +94,9 @@ class MeasuredPairs:
     """Hold the measurement at the simulator's source-receiver pairs, in the room's bands.
 
     ``observations`` are NaN where missing or left out. The reference of a relative level is unknown.
-    Therefore it is shifted so that its mean over each source's pairs equals that of the simulated level
-    in each band. ``fingerprints`` identify the data in a calibrated room: one for all matched values,
-    and one for the mean T.
+    Therefore the measured level is shifted so that its mean over each source's pairs equals that of the
+    simulated level in each band. ``fingerprints`` are texts with which a calibrated room identifies the
+    data to which it was calibrated: one for all matched values, and one for the mean T.
     """
 
     observations: Observations
@@ -111,9 +111,9 @@ class MeasuredPairs:
         return np.isfinite(self.observations.values)
 
     def among(self, pairs: Sequence[Pair]) -> NDArray[np.int64]:
-        """Return which of the values at all of a simulator's pairs are used, (n_used,).
+        """Return the numbers of the used values among the values at all ``pairs``, (n_used,).
 
-        The pairs stand in the simulator's order, so the values used do, too.
+        ``pairs`` are those of a simulator, whose order the numbers have.
         """
         n_parameters, _, n_bands = self.used.shape
         used = np.zeros((n_parameters, len(pairs), n_bands), dtype=bool)
@@ -133,8 +133,8 @@ class MeasuredPairs:
 def gap_at_pairs(simulated: Array, measured: Observations, *, relative: bool) -> Array:
     """Return simulated minus measured values in JND, (n_parameters, n_pairs, n_bands).
 
-    Times are given as logarithms. For a ``relative`` level its mean over each source's pairs is
-    subtracted.
+    Both contain the logarithms of decay times. If the level is ``relative``, the mean of its deviation
+    over each source's pairs is subtracted.
     """
     gaps = []
     for name, values in zip(measured.parameters, simulated, strict=True):
@@ -163,10 +163,10 @@ def pairs_to_match(
 ) -> MeasuredPairs:
     """Return the measurement at the simulator's pairs, without the pairs of ``exclude``.
 
-    ``simulated`` are the values with the input coefficients; they give the pairs and the reference of
-    the level. Raises DataError for means over pairs, if no pair or no parameter is shared with the
-    simulator, for a pair of ``exclude`` that was not measured, and for an uncertainty below a
-    millionth.
+    ``match`` are the parameters. ``simulated`` are the values with the input coefficients, from which
+    the pairs and the reference of the level are taken. Raises DataError for means over pairs, if no
+    pair or no parameter is shared with the simulator, for a pair of ``exclude`` that was not measured,
+    and for an uncertainty below a millionth.
     """
     if measured.is_summary:
         raise DataError(
@@ -258,9 +258,10 @@ def left_out(exclude: Sequence[Pair]) -> str:
 
 
 def with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:
-    """Return levels shifted to the reference of the levels ``like``, (n_pairs, n_bands) each.
+    """Return levels (n_pairs, n_bands) in dB with the same reference as the levels ``like``.
 
-    Their means over each source's pairs, where both are known, are then equal in each band.
+    The levels are shifted so that both means over each source's pairs, where both are known, are equal
+    in each band.
     """
     off = levels - like
     out = levels.copy()
@@ -279,9 +280,10 @@ def _with_level(observations: Observations, levels: Array) -> Observations:
 
 
 def fingerprints(room: Room, observations: Observations, measured: Measurement) -> tuple[str, ...]:
-    """Return the matched data's fingerprints; DataError if the room was calibrated to some of them.
+    """Return texts that identify the matched data: ``observations`` at pairs, and the mean T.
 
-    A single pair's relative level has no fingerprint of its own, because its mean depends on the pairs.
+    Raises DataError if the room was already calibrated to some of the data. A single pair's relative
+    level has no text of its own, because its value depends on which pairs are used.
     """
     means = {
         f"{p}-{f:g}": float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
@@ -393,12 +395,12 @@ def response_noise(
     bandwidth: float,
     direct: ArrayLike = 0.0,
 ) -> Array:
-    """Return the covariance of the parameters of noise-like responses, (..., n_parameters twice).
+    """Return the covariance of parameters of noise-like responses, (..., n_parameters, n_parameters).
 
     A response is the direct sound, with the share ``direct`` (...) of the energy, and an exponential
-    decay with ``decay_time`` in s. In a band of ``bandwidth`` in Hz the energy of the decay in a bin
-    has the relative variance 1 / (bandwidth width). ISO 3382-2's standard deviation of T20 is nearly
-    the same as this one.
+    decay with ``decay_time`` in s. In a band of ``bandwidth`` in Hz, the energy of the decay in a time
+    interval has the relative variance 1 / (bandwidth times length of the interval). The standard
+    deviation of T20 is nearly that of ISO 3382-2.
     """
     width = 2 * decay_time / _BINS
     share = np.asarray(direct, dtype=float)[..., np.newaxis]
@@ -416,7 +418,11 @@ def of_level(parameters: Sequence[str], n_pairs: int, n_bands: int) -> NDArray[n
 
 
 def by_band(slopes: Array) -> Array:
-    """Return derivatives (p, i, k, m) by alpha of the same band as (p * i * k, m * k)."""
+    """Return derivatives by alpha as a matrix, (p * i * k, m * k).
+
+    ``slopes`` (p, i, k, m) are the derivatives of p parameters at i pairs in k bands by the alpha of m
+    materials in the same band; those by other bands are 0.
+    """
     full = np.einsum("pikm,kl->pikml", slopes, np.eye(slopes.shape[2]))
     return np.asarray(full.reshape(slopes[..., 0].size, -1))
 
@@ -440,12 +446,12 @@ _REACH = 2.0
 class BeyondPrior:
     """Hold a measured T that the input coefficients cannot explain within their sigma.
 
-    ``parameter`` is the name of T, and ``frequency`` the band in Hz that is farthest. ``measured``,
-    ``simulated`` and ``reached`` are means over the pairs in s: measured, simulated with the input
-    coefficients, and simulated with all of them two sigma towards the measured T. ``stated`` is the
-    area-weighted mean of the input coefficients, ``needed`` the mean that gives the measured T. ``z``
-    is the difference over its standard deviation. ``bands`` of the ``of_bands`` bands with T are as
-    far.
+    ``parameter`` is the name of T, and ``frequency`` in Hz is the band in which T is farthest from the
+    input. ``measured``, ``simulated`` and ``reached`` are means of T over the pairs in s: measured,
+    simulated with the input coefficients, and simulated with all coefficients two sigma nearer to the
+    measured T. ``stated`` is the area-weighted mean of the input coefficients, and ``needed`` the mean
+    that gives the measured T. ``z`` is their difference over its standard deviation. ``bands`` is the
+    number of bands that are as far, out of ``of_bands`` bands with T.
     """
 
     parameter: str
@@ -483,9 +489,10 @@ class BeyondPrior:
 def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
     """Return the measured T that the input coefficients cannot explain; None if they can.
 
-    T20 or T30 is used, else EDT. The needed absorption follows from T, because absorption is inverse to
-    T. ``model`` is a `rtcal.loop.positions.PairsModel`. ``prior`` (n_unknowns, n_unknowns) is the
-    covariance of the input coefficients, ``error`` (n, n) that of the simulator's values.
+    T is T20 or T30, or else EDT. The needed absorption follows from T, because absorption is inversely
+    proportional to T. ``model`` is a `rtcal.loop.positions.PairsModel`. ``prior`` (n_unknowns,
+    n_unknowns) is the covariance of the input coefficients, ``error`` (n, n) that of the simulator's
+    values.
     """
     data, parameters = model.data, model.data.observations.parameters
     known = [o.key for o in (*REVERBERATION, EARLY) if o.key in parameters]
@@ -543,7 +550,7 @@ def means(measurement: Measurement) -> dict[str, Array]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
-    """Hold values at the same pairs: measured, simulated before and simulated after a calibration.
+    """Hold values at the same pairs: measured, and simulated before and after a calibration.
 
     ``relative`` is True if the reference of the measured level is unknown.
     """
@@ -719,9 +726,9 @@ class ControlRuns:
     def covariance(self) -> Array:
         """Return the covariance of the simulator's error, (n, n) for n = parameters x pairs x bands.
 
-        It contains the mean error, too. Because there are far fewer simulations than values, the
-        covariance is averaged with one in which all pairs have the same variance: a part common to all
-        pairs, and a part of each pair.
+        It includes the mean error. Because there are far fewer simulations than values, the covariance
+        is averaged with one in which all pairs have the same variance: a part common to all pairs, and
+        a part of each pair.
         """
         rows = self.errors.reshape(len(self.errors), -1)
         return np.asarray(_SHRINKAGE * self.alike() + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
@@ -739,12 +746,13 @@ class ControlRuns:
         return np.asarray(full.reshape(n_parameters * n_pairs * n_bands, -1))
 
     def without_noise(self, noise: Array) -> ControlRuns:
-        """Return the errors, scaled to the variance that they would have without noise of the paths.
+        """Return the errors, reduced to the variance that they would have without noise of the paths.
 
         Parameters
         ----------
         noise : array (n_parameters, n_bands)
-            Variance of the values of one pair in one reference simulation, because its paths are few.
+            Variance of the values of one pair in one reference simulation by its finite number of
+            paths.
         """
         noise = noise / self.more_paths
         n_pairs = self.errors.shape[2]
@@ -766,9 +774,10 @@ _LEAST_LEFT = 0.1
 
 
 def share_of_signal(square: Array, noise: Array) -> Array:
-    """Return the share of mean squares that is not noise; 0 where there is only noise.
+    """Return the share of mean squares that is signal and not noise; 0 where there is only noise.
 
-    It is signal over signal and noise (James & Stein 1961, with the variances estimated).
+    ``square`` is the mean square of signal and noise, and ``noise`` that of the noise alone (James &
+    Stein 1961, with the variances estimated).
     """
     share = np.divide(noise, square, out=np.ones_like(square), where=square > noise)
     return np.asarray(1 - share)
@@ -804,13 +813,13 @@ def simulated_controls(
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` reference simulations; None if it has no geometry.
 
-    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have a geometry. Alpha is drawn at random
-    from the input alpha and sigma of ``room``, in the same way for every ``seed``, which is that of the
-    paths. ``position_uncertainty`` is the standard uncertainty of the positions in m. The folder
-    ``cache`` keeps the errors for the next call, except with ``after``: parameters and simulations of
-    further states of the room, whose values follow those of ``match``. ``more_paths`` is a factor on
-    the number of paths. ``scheduler`` is the address of a Dask scheduler whose workers simulate; by
-    default this machine does.
+    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have a geometry. ``match`` are the
+    parameters. Alpha is drawn at random from the input alpha and sigma of ``room``, in the same way for
+    every ``seed``, which is that of the paths. ``position_uncertainty`` is the standard uncertainty of
+    the positions in m. The folder ``cache`` keeps the errors for the next call, except if ``after`` is
+    given: parameters and simulations of further states of the room, whose errors follow those of
+    ``match``. ``more_paths`` is a factor on the number of paths. ``scheduler`` is the address of a Dask
+    scheduler whose workers simulate; by default this machine does.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     tracing = complete(simulator).tracing
@@ -976,9 +985,10 @@ GROUPS = 4
 
 
 def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
-    """Return the variance of a run's values due to its finite paths, (n_parameters, n_bands).
+    """Return the variance of simulated values by the finite number of paths, (n_parameters, n_bands).
 
-    ``groups`` (n_groups, p, i, k) are the values of groups of the simulator's paths; None for none.
+    ``groups`` (n_groups, n_parameters, n_pairs, n_bands) are the values of groups of the simulator's
+    paths; None for a simulator without paths.
     """
     if groups is None:
         return np.zeros(1)
@@ -989,9 +999,10 @@ def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
 def ahead_factor(
     parameters: Sequence[str], values: Array, tracer: PathTracing, alpha: Array
 ) -> float:
-    """Return how many times Eyring's T decays are followed, so that they hold T20 or T30.
+    """Return for how many reverberation times paths must be followed so that decays have T20 or T30.
 
-    ``values`` (n_parameters, n_pairs, n_bands) are expected.
+    ``values`` (n_parameters, n_pairs, n_bands) are the expected values. The result is relative to
+    Eyring's T with the coefficients ``alpha``.
     """
     times = [
         kind.natural(of).max() * (observables.MARGIN_DB - kind.lower) / 60
@@ -1098,7 +1109,7 @@ _FREEDOM = 4
 class Scattering:
     """Hold the scattering coefficients that were fitted with alpha; they are not a measurement.
 
-    ``coefficients`` (n_materials, n_bands) are for the scattering ``model`` (see
+    ``coefficients`` (n_materials, n_bands) are those of the scattering ``model`` (see
     `rtcal.simulators.path_tracing.ScatteringModel`). ``sigma`` is their standard uncertainty, 0 where a
     coefficient is 0 or 1. ``mean`` is the mean over the surfaces, weighted by area. ``limited`` are the
     numbers of the materials whose coefficients reached their limit.
@@ -1138,11 +1149,11 @@ class Scattering:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaterialScattering:
-    """Sensitivity of every value to the scattering of each material, around the traced one.
+    """Hold how all values depend on the scattering coefficient of each material.
 
-    ``slope`` (n, n_materials) has the derivatives of all values, n = parameters x pairs x bands, by the
-    log odds; ``traced`` (n_materials,) the change of these from those stated to those traced, under
-    ``model``.
+    ``slope`` (n, n_materials) are the derivatives of all values, n = parameters x pairs x bands, by the
+    log odds of the scattering coefficients. ``traced`` (n_materials,) are the log odds that were
+    traced, with the scattering ``model``, minus those of the input.
     """
 
     slope: Array
@@ -1166,18 +1177,19 @@ class MaterialScattering:
         return np.asarray(-self.slope @ self.traced)
 
     def likely(self, pull: Array) -> Array:
-        """Return the likeliest change of the log odds from those stated, (n_materials,).
+        """Return the most probable change of the scattering log odds from the input, (n_materials,).
 
-        ``pull`` (n,) is the inverse covariance of what was measured times what is left unexplained
-        with the scattering stated; 0 where nothing was measured.
+        ``pull`` (n,) is the inverse covariance of the measured values times their deviation from those
+        with the input scattering; 0 where nothing was measured.
         """
         likeliest = self.prior @ (self.slope.T @ pull)
         return np.asarray(np.clip(likeliest, -_MOST, _MOST))
 
     def posterior(self, used: NDArray[np.int64], covariance: Array) -> Array:
-        """Return the standard deviations of the log odds after what was measured, (n_materials,).
+        """Return the standard deviations of the log odds after the measurement, (n_materials,).
 
-        ``covariance`` (n_used, n_used) is that of the values used, with alpha and scattering unknown.
+        ``used`` are the numbers of the measured values, and ``covariance`` (n_used, n_used) is their
+        covariance if alpha and scattering are unknown.
         """
         across = self.slope[used] @ self.prior
         left = self.prior - across.T @ np.linalg.solve(covariance, across)
@@ -1187,10 +1199,10 @@ class MaterialScattering:
 def material_scattering(
     tracer: PathTracing, alpha: Array, parameters: Sequence[str], seed: int
 ) -> MaterialScattering:
-    """Return how the values of a tracer depend on the scattering of each material.
+    """Return how the values of a tracer depend on the scattering coefficient of each material.
 
-    The differences between pairs are drawn towards their mean as far as they are noise. DataError for
-    a tracer with another scattering model than "random".
+    Noise in the differences between pairs is reduced. Raises DataError for a tracer whose scattering
+    model is not "random".
     """
     groups = tracer.scattering_jacobian(alpha, parameters, number=2, seed=seed)
     slope = groups.mean(axis=0)
@@ -1205,9 +1217,10 @@ def material_scattering(
 
 
 def scattered(tracer: PathTracing, log_odds: Array, model: ScatteringModel) -> PathTracing:
-    """Return the tracer with other coefficients: their log odds are changed by ``log_odds``.
+    """Return the tracer with other scattering coefficients, and with a scattering ``model``.
 
-    (n_materials,), the same in all bands. Coefficients of 0 and 1 stay.
+    ``log_odds`` (n_materials,) are the changes of the coefficients' log odds, the same in all bands.
+    Coefficients of 0 and 1 do not change.
     """
     s = tracer.scattering
     odds = np.exp(log_odds)[:, np.newaxis]
@@ -1231,13 +1244,14 @@ def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorsByScattering:
-    """The simulator's errors from reference simulations, by level and model of scattering.
+    """Hold how a simulator's errors in reference simulations depend on the level of scattering.
 
-    ``coefficients`` (3, n_parameters, n_pairs, n_bands) of `basis` are straight lines over the level,
-    and ``spread`` (3, 3) their covariance over the variance of what is left. That variance is
-    proportional to the level to the ``power`` (n_parameters,), and is 1 at ``middle``. ``left`` and
-    ``of_coefficients`` (n, n) are the covariance of what is left of all values, and of that of which
-    the coefficients are uncertain.
+    The errors are straight lines over the level of scattering, for each scattering model:
+    ``coefficients`` (3, n_parameters, n_pairs, n_bands) of the columns that `basis` returns. ``spread``
+    (3, 3) is the covariance of these coefficients over the residual variance. The residual variance is
+    proportional to the level to the ``power`` (n_parameters,), relative to the level ``middle``.
+    ``left`` (n, n) is the covariance of the residuals of all values, and ``of_coefficients`` (n, n) the
+    one by which the coefficients are uncertain.
     """
 
     coefficients: Array
@@ -1266,12 +1280,13 @@ class ErrorsByScattering:
 def errors_by_scattering(controls: ControlRuns, noise: Array) -> ErrorsByScattering | None:
     """Return how the errors of reference simulations depend on scattering, by weighted least squares.
 
-    None if the runs are too few, or do not differ in scattering. ``noise`` (n_parameters, n_bands) is
-    the variance of a run's values by its finite number of paths.
+    The result is None if the simulations are too few, or have the same scattering. ``noise``
+    (n_parameters, n_bands) is the variance of a simulation's values by its finite number of paths.
 
-    Where little is scattered, a room departs most from the line: the variance of T20's error is about
-    inverse to the level squared, that of C80's hardly depends on it. So each parameter's variance is a
-    power of the level. Runs far from the line count less, as under Student's t distribution.
+    The less a room scatters, the more its errors differ from a straight line: the variance of the error
+    of T20 is about inverse to the square of the level, while that of C80 hardly depends on it.
+    Therefore each parameter's variance is a power of the level. Simulations far from the line count
+    less, as under Student's t distribution.
     """
     errors, levels = controls.errors, controls.levels
     (runs, n_parameters), n = errors.shape[:2], _COEFFICIENTS

@@ -97,12 +97,14 @@ def simulator_error(
     groups: Array | None,
     fit_scattering: bool,
 ) -> tuple[Array, ErrorsByScattering | None]:
-    """Return the covariance of the simulator's error, (n, n), and its errors by scattering.
+    """Return the covariance of the simulator's error, (n, n), and the errors by level of scattering.
 
-    n is all values: measured parameters at all pairs of the simulator. ``groups`` (n_groups,
-    n_parameters, n_pairs, n_bands) are the values of groups of paths, None without paths. The second is
-    None where the scattering stated is kept, as by every simulator but a `PathTracing` with the model
-    "random": only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
+    The n values are the measured parameters at all pairs of the simulator. ``controls`` are the errors
+    in reference simulations; None if they are unknown. ``groups`` (n_groups, n_parameters, n_pairs,
+    n_bands) are the values of groups of paths; None for a simulator without paths. The second result is
+    None if the input scattering is kept. It can only be fitted for a `PathTracing` with the model
+    "random", because only its paths show the effect of scattering; coefficients of 0 and 1 are always
+    kept.
     """
     parameters = model.data.observations.parameters
     if controls is None:
@@ -123,16 +125,16 @@ _MOST_UNEXPLAINED = 100.0
 def unexplained_errors(
     innovation: Array, expected: Array, unit: Array, parameter: NDArray[np.int64]
 ) -> Array:
-    """Return each parameter's unexplained error in JND with which the data are likeliest.
+    """Return each parameter's unexplained error in JND with which the data are most probable.
 
-    The error differs from value to value: reference simulations vary what all pairs have in common, but
-    no furniture and no directivity that a pair alone meets. A common factor of the simulator's error
-    would also explain a T that is off at every pair, so that T would not be fitted.
+    This error is independent at each pair, because reference simulations vary what all pairs have in
+    common, but neither furniture nor directivity, which affect single pairs. A common factor of the
+    simulator's error would also explain a T that deviates at every pair, so that T would not be fitted.
 
-    ``innovation`` (n,) is what was measured less what the simulator gives with the prior, ``expected``
-    (n, n) its covariance without the unexplained errors, ``unit`` (n,) one JND of each value and
-    ``parameter`` (n,) the number of its parameter. Variance components by maximum likelihood (Harville
-    1977, JASA 72, 320-338).
+    ``innovation`` (n,) is measured minus simulated with the prior, ``expected`` (n, n) its covariance
+    without the unexplained errors, ``unit`` (n,) one JND of each value, and ``parameter`` (n,) the
+    number of its parameter. Variance components by maximum likelihood (Harville 1977, JASA 72,
+    320-338).
     """
     from scipy.optimize import minimize
 
@@ -192,11 +194,11 @@ rooms they were traced three times with 2.0 alone."""
 
 
 class PairsModel:
-    """A simulator's values at the measured pairs and their derivatives, for any alpha.
+    """Compute a simulator's values at the measured pairs, and their derivatives, for any alpha.
 
-    Nothing is simulated twice: ``calls`` is the number of simulations and derivatives. ``used``
-    (n_used,) are the places of the values used among the measured parameters at all pairs,
-    ``of_level`` (n_used,) says which of them are levels.
+    Results are kept, so that nothing is simulated twice; ``calls`` is the number of simulations and
+    derivatives so far. ``used`` (n_used,) are the numbers of the used values among the measured
+    parameters at all pairs. ``of_level`` (n_used,) is True for values that are levels.
     """
 
     def __init__(
@@ -249,9 +251,10 @@ class PairsModel:
         return self._slopes[key]
 
     def scattered(self, alpha: Array, tracer: PathTracing, change: Array) -> PairsModel:
-        """Return the model of a tracer with another scattering, begun at an alpha.
+        """Return the model of a ``tracer`` with other scattering, begun at the coefficients ``alpha``.
 
-        ``change`` (n,) of all values is expected; it says for how long the paths are followed.
+        ``change`` (n,) is the expected change of all values, from which the necessary length of the
+        paths follows.
         """
         likely = self.everywhere(alpha)
         likely = likely + change.reshape(likely.shape)
@@ -267,14 +270,14 @@ class PairsModel:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A point of a fit: the model there, and its errors, as an `Observation`.
+    """Hold a point of a fit, with the model there and its errors, as an `Observation`.
 
-    ``materials`` is what the scattering does there, of no materials where the one stated is kept.
-    ``error`` (n, n) is the covariance of the simulator's error at all values, with that of an unknown
-    scattering; ``unexplained`` (n_parameters,) the standard deviation in JND by which each value
-    differs beyond the other errors; ``covariance`` (n_used, n_used) that of measurement, room,
-    simulator and what is unexplained. ``path`` has the last steps, None before the first. ``refused``
-    says that no step led nearer, so that the start is returned.
+    ``materials`` has the effect of each material's scattering, and no materials if the input scattering
+    is kept. ``error`` (n, n) is the covariance of the simulator's error at all values, including that
+    by unknown scattering. ``unexplained`` (n_parameters,) is the standard deviation in JND of the
+    unexplained error. ``covariance`` (n_used, n_used) is that of all errors: of measurement, room and
+    simulator, and unexplained. ``path`` has the last steps of the fit; None before the first step.
+    ``refused`` is True if no step decreased the deviation, so that the point is the start.
     """
 
     model: PairsModel
@@ -329,16 +332,16 @@ class Fitted:
 
 
 class PositionsFit:
-    """A fit of alpha, and of the scattering of a `PathTracing`, to the values at every position.
+    """Fit alpha, and the scattering of a `PathTracing`, to the values at every position.
 
-    It starts at the coefficients of ``room``. ``calibration`` has the prior, further terms and
-    constraints; T of ``measured`` enters where its own terms match it. ``error`` (n, n) is the
-    covariance of the simulator's error with the scattering kept; ``by_scattering`` has the errors by
-    scattering, where it is fitted.
+    The fit starts at the coefficients of ``room``. ``calibration`` has the prior, further terms and
+    constraints. T of ``measured`` is used only by terms of the calibration that match T. ``error`` (n,
+    n) is the covariance of the simulator's error with the input scattering. ``by_scattering`` has the
+    errors by level of scattering; None if the scattering is not fitted.
 
-    No step is taken unless the simulator itself shows that the objective falls, and that the gap over
-    all that is matched stays below that of the start. The errors belong to where the steps ended: the
-    unexplained ones (`unexplained_errors`) are found there, and further steps are taken from there.
+    A step is taken only if a simulation shows that the objective decreases, and that the deviation of
+    all matched values remains below that of the start. The unexplained errors (`unexplained_errors`)
+    are determined where these steps end, and further steps follow with these errors.
     """
 
     def __init__(
@@ -611,8 +614,9 @@ def calibrate_positions(
     simulator : Simulator
         Simulator of the room. A `PathTracing` is run with more paths.
     room : Room or ModesResult
-        Room with your input alpha and sigma. A result of ``calibrate_modes(room, ...)`` without T
-        replaces the measurement below the Schroeder frequency, and its coefficients stay there.
+        Room with your input alpha and sigma. In a result of ``calibrate_modes(room, ...)`` without T,
+        the measured modes replace the measurement below the Schroeder frequency, and their coefficients
+        are kept.
     measured : Measurement
         Measurement of source-receiver pairs that the simulator has, too.
     match : sequence of str
@@ -624,9 +628,9 @@ def calibrate_positions(
         Further terms and constraints for the coefficients. By default only your input alpha and sigma
         count, besides the measurement.
     controls : ControlRuns, optional
-        Error of the simulator, for example ``result.controls`` of an earlier calibration. By default it
-        is simulated if the simulator has a geometry (`rtcal.loop.measured_pairs`). For others it is
-        unknown, and the result has no interval.
+        Error of the simulator, for example ``result.controls`` of an earlier calibration. By default
+        rtcal simulates it for a simulator that has a geometry (`rtcal.loop.measured_pairs`). For other
+        simulators the error is unknown, and the result has no interval.
     cache : path, optional
         Folder in which the reference simulations are kept.
     position_uncertainty : float
@@ -1008,8 +1012,8 @@ class PositionsResult(Result):
     ) -> PositionsPrediction:
         """Predict the values at every position after a change of this room.
 
-        The arguments and errors are those of `rtcal.loop.predict_positions`, which takes several
-        variants.
+        For the arguments and errors see `rtcal.loop.predict_positions`, which predicts several variants
+        at once.
         """
         made = (changes,) if isinstance(changes, Change) else tuple(changes)
         variant = Variant(name or "; ".join(map(str, made)) or "no change", made)
@@ -1037,7 +1041,8 @@ class PositionsResult(Result):
     def interval(self) -> tuple[Array, Array] | None:
         """Lower and upper end of alpha's 90 % interval within 0 and 1, (n_materials, n_bands) each.
 
-        None if there are no reference simulations, so that the simulator's error is unknown.
+        The result is None if there are no reference simulations, because the simulator's error is then
+        unknown.
         """
         if self.controls is None:
             return None
@@ -1079,8 +1084,9 @@ class PositionsResult(Result):
     def farther(self) -> tuple[str, ...]:
         """Names of the parameters whose deviation from the measurement grew by the calibration.
 
-        For a matched parameter the root mean square deviation over pairs and bands grew by more than
-        half a JND. For any other one, that over the pairs grew by more than one JND in some band.
+        A matched parameter is listed if its root mean square deviation over pairs and bands grew by
+        more than half a JND. Any other parameter is listed if its root mean square deviation over the
+        pairs grew by more than one JND in some band.
         """
         return (*(name for name, _, _ in self._farther_matched), *left(self.beside.gaps))
 
@@ -1101,10 +1107,10 @@ class PositionsResult(Result):
     def pulls(self) -> Array:
         """Change of alpha that each pair causes, in input sigmas, (n_pairs, n_materials, n_bands).
 
-        The sum over the pairs is the change of the linear estimate without the bounds 0 and 1. Its gain
-        is K J' (J K J' + C)⁻¹, with K the covariance of the input alpha, J the derivatives of the
-        values by alpha, and C the covariance of their errors (Tarantola 2005, Inverse Problem Theory,
-        Sect. 3.2).
+        The sum over the pairs is the change of the linear estimate without the bounds 0 and 1. The gain
+        of this estimate is K J' (J K J' + C)⁻¹, with K the covariance of the input alpha, J the
+        derivatives of the values by alpha, and C the covariance of their errors (Tarantola 2005,
+        Inverse Problem Theory, Sect. 3.2).
         """
         matrix = self.steps[-1].matrix
         across, n = self.prior_covariance @ matrix.T, len(matrix)
@@ -1122,8 +1128,8 @@ class PositionsResult(Result):
     def misfit(self) -> Array:
         """Misfit of each pair to the values expected from all other pairs, (n_pairs,): 1 is usual.
 
-        It is chi-square over its degrees of freedom, divided by its upper quartile over the pairs if
-        this is above 1, so that up to a quarter of the pairs may be wrong.
+        The misfit is chi-square over its degrees of freedom. If the upper quartile over the pairs is
+        above 1, all misfits are divided by it, so that up to a quarter of the pairs may be wrong.
         """
         square, degrees = self._chi_square
         ratio = square / degrees

@@ -84,8 +84,8 @@ interval is that of samples."""
 class PositionsPrediction(Result):
     """Hold predicted values at every position after a change, which `PositionsResult.predict` returns.
 
-    Arrays are (n_parameters, n_pairs + 1, n_bands), with the pairs first and then their mean. Times are
-    logarithms; `mean`, `at_pairs` and `interval` return values in their units.
+    Arrays are (n_parameters, n_pairs + 1, n_bands): first the pairs, then their mean. They contain the
+    logarithms of times; `mean`, `at_pairs` and `interval` return values in their units.
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
@@ -148,7 +148,7 @@ class PositionsPrediction(Result):
     def change(self, parameter: str) -> Array:
         """Return the change of each pair and of the mean in JND, (n_pairs + 1, n_bands).
 
-        One JND is that of the value before, for example 5 % of a decay time.
+        One JND is that of the value before the change, for example 5 % of a decay time.
         """
         before = self.before_change(parameter)
         return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
@@ -156,9 +156,10 @@ class PositionsPrediction(Result):
     def half_width(
         self, parameter: str, low: Array | None = None, high: Array | None = None
     ) -> Array:
-        """Return half the width of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands).
+        """Return half the width of the 90 % interval in JND, (n_pairs + 1, n_bands), pairs before mean.
 
-        ``low`` and ``high`` replace the ends of the interval.
+        One JND is that of the value after the change. ``low`` and ``high`` replace the ends of the
+        interval; None keeps them.
         """
         low, high = (own if of is None else of for of, own in ((low, self.low), (high, self.high)))
         one = np.asarray(observable(parameter).jnd_of(self.at_pairs(parameter)))
@@ -282,13 +283,14 @@ that it takes of what was each of the room's materials, (n_before,)."""
 
 
 class ChangedRoom:
-    """A room after changes, and which materials its walls then have.
+    """Hold a room after changes, and the materials that its walls then have.
 
-    ``materials`` (n_materials,) are the room's and then the new ones, whose rows in the changed room
-    are ``new``. ``mixture`` (n_before, n_materials) is the share of each in what was each of the
-    room's, and ``moves`` are the partial covers. Both rooms have the prior's coefficients.
+    ``materials`` (n_materials,) are the materials of the room, followed by the new ones, whose rows in
+    the changed room ``after`` are ``new``. ``mixture`` (n_before, n_materials) is the share of each
+    material in the area that was of each of the room's materials. ``moves`` are the covers that leave a
+    part of a material uncovered. Both rooms have the input coefficients.
 
-    Raises DataError for a change that a simulator does not know the place of.
+    Raises DataError for a change whose place the simulator does not know.
     """
 
     def __init__(self, before: Room, changes: Sequence[Change]) -> None:
@@ -318,9 +320,10 @@ class ChangedRoom:
                 self.moves.append((old, new, moved))
 
     def walls(self, alpha: Array) -> Array:
-        """Return the coefficients after the change of each material before it, (n_before, n_bands).
+        """Return the mean coefficients after the change on the area of each old material.
 
-        ``alpha`` is that of all materials, or of the room's, which leaves the new ones as stated.
+        The shape is (n_before, n_bands). ``alpha`` has a row for each material, or only for the room's
+        materials; the new materials then have their input coefficients.
         """
         if len(alpha) < len(self.materials):
             alpha = np.vstack([alpha, self.after.alpha[self.new]])
@@ -334,9 +337,10 @@ class ChangedRoom:
 
 
 class State:
-    """A state of the room: the calibrated simulator's values there, and how they depend on the unknown.
+    """Hold a calibrated simulator's values in a state of the room, and their derivatives.
 
-    Rows are values: ``match`` x pairs x bands. Without changes it is the state that was measured.
+    The rows of all results are values: the parameters ``match`` x pairs x bands. ``room`` has the
+    changes; without changes, the state is the measured one.
     """
 
     def __init__(self, result: Any, room: ChangedRoom, match: Sequence[str]) -> None:
@@ -368,9 +372,10 @@ class State:
         return observe(self.simulator, walls, self.match, seed=self.seed)
 
     def by_covers(self, assumed: float) -> Array:
-        """Return the change of all rows by the error of each partial cover's area, (n_covers, rows).
+        """Return the change of all values by the error of each partial cover's area.
 
-        It is that of the surface below; ``assumed`` where the room states none.
+        The shape is (n_covers, n_values). The relative error is that of the area of the surface below,
+        or ``assumed`` if the room has no uncertainty of its areas.
         """
         before, after, a = self.room.before, self.room.after, self.alpha
         stated = [*before.area_sigma, *after.area_sigma[self.room.new]]
@@ -384,9 +389,10 @@ class State:
         return np.reshape(rows, (-1, len(self.by_alpha)))
 
     def by_places(self) -> Array:
-        """Return the change of all rows by the places of the covers, (n_places, rows).
+        """Return the change of all values by the unknown place of each partial cover.
 
-        Its square is their covariance: where each lies has nothing to do with the others.
+        The shape is (n_places, n_values). The sum of their products is a covariance, because the places
+        of the covers are independent.
         """
         if not self.room.moves or complete(self.simulator).tracing is not self.simulator:
             return np.zeros((0, len(self.by_alpha)))
@@ -427,10 +433,11 @@ _HALVINGS = 40
 def in_pieces(
     tracer: PathTracing, moves: Sequence[Move]
 ) -> tuple[PathTracing, NDArray[np.int64], list[NDArray[np.bool_]]]:
-    """Return a tracing whose surfaces are cut where covers may end.
+    """Return a tracing whose surfaces are cut where partial covers may end, and which piece is where.
 
-    Each piece has coefficients of its own. Also the number of the room's material of each piece,
-    (n_pieces,), and for each cover which pieces it covers at every place, (n_places, n_pieces).
+    Each piece has coefficients of its own. Also returned are the number of the room's material of each
+    piece, (n_pieces,), and, for each cover, the pieces that it covers at each possible place,
+    (n_places, n_pieces) of bool. ``moves`` are the covers.
     """
     geometry, room = tracer.geometry, tracer.room
     ends = [_ends(geometry, tracer.made_of, moved) for _, _, moved in moves]
@@ -664,7 +671,7 @@ def predict_positions(
         Parameters to predict: keys of `rtcal.acoustics.observables`.
     assumptions : Assumptions, optional
         Assumed uncertainties, of which two are used: ``changed``, the smallest sigma of a new material,
-        and ``areas``, the relative uncertainty of the area of a partial cover.
+        and ``areas``, the relative uncertainty of the area of a partial cover. None means usual values.
     position_uncertainty : float
         Standard uncertainty of the positions of sources and receivers in m.
     progress : callable, optional
@@ -673,7 +680,7 @@ def predict_positions(
     Raises
     ------
     DataError
-        For a change whose place the simulator does not have, for two variants with one name, for a
+        For a change whose place the simulator does not know, for two variants with one name, for a
         variant that another program simulated, or for a simulator without reference simulations.
 
     Examples

@@ -62,9 +62,9 @@ _BIN = 0.001
 class ControlRooms:
     """Hold the equation's errors in reference rooms, which one simulator computed for comparison.
 
-    ``errors`` (n_controls, n_configurations, n_features, n_bands) are the simulated features, such as
-    ln T20, minus those of the equation for the same alpha. In a configuration with a program's run they
-    are minus those of a simulation that stands for the program.
+    ``errors`` (n_rooms, n_configurations, n_features, n_bands) are the simulated features, such as ln
+    T20, minus those of the equation for the same alpha. In a configuration with a run of a program,
+    they are minus those of another simulation, which represents the program.
     """
 
     engine: str
@@ -84,11 +84,11 @@ class ControlRooms:
 
 
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
-    """Return each engine's estimate of the model's bias, (n_estimates, *one room's shape).
+    """Return each simulator's estimate of the equation's bias, (n_estimates, *shape of one room).
 
-    Image sources estimate none (`ENGINES`); reference rooms from outside rtcal do. The last row is 0,
-    the model's own estimate. It draws the mean over the rows towards 0, since a second simulator
-    confirms only a part of the bias that the first one shows.
+    The shape of one room is (n_configurations, n_features, n_bands). Image sources give no estimate
+    (`ENGINES`), and your own reference rooms do. A last estimate of 0 is added. It reduces the mean of
+    the estimates, because a second simulator confirms only a part of the bias that the first one shows.
     """
     means = [c.mean for c in controls if c.estimates_bias]
     return np.array([*means, np.zeros_like(controls[0].mean)])
@@ -104,10 +104,11 @@ def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
 
 
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
-    """Draw coefficients from the prior: (n, n_configurations, n_materials, n_bands), in [0.001, 0.99].
+    """Draw random coefficients of a case, (n, n_configurations, n_materials, n_bands).
 
-    The bands have the room's correlation. A configuration's changes are independent draws. Each
-    material's draws belong to its name, so that their order changes nothing.
+    The coefficients are from 0.001 to 0.99, with the input alpha and sigma, and with the room's
+    correlation between bands. Materials that a configuration changes are drawn independently. Each
+    material has random numbers of its own, so that the order of the materials has no effect.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
@@ -130,9 +131,10 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 
 
 def box(case: Case) -> tuple[Room, Polyhedron, Array]:
-    """Return the reference room, with one material per axis, and the share of each material by axis.
+    """Return a case's reference room, its geometry, and the share of each material on each axis.
 
-    With the shares (n_materials, 3), the case's alpha gives the mean alpha of the walls of an axis.
+    The reference room is a box with one material for the two walls on each axis. The product of the
+    case's alpha with the shares (n_materials, 3) is the mean alpha of these walls.
     """
     room = case.room
     towards = room.areas[:, None] * np.where(np.isfinite(case.facing), case.facing, 1 / 3)
@@ -255,14 +257,14 @@ def _features(energy: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Engine:
-    """An independent simulator, and the reference rooms that it simulates.
+    """Hold a simulator for reference rooms, and describe the reference rooms that it simulates.
 
-    ``simulator`` prepares a reference room, from it and its number. Random numbers are those of a
-    ``stream``, so that engines draw different rooms: ``setups`` of them, each with a draw of alpha from
-    the prior, over a ``duration`` in reverberation times. Two setups in turn have each of the
-    scattering ``models``: both have a coefficient, but their decays differ by some percent. A simulator
-    that scatters nothing has none. ``estimates_bias`` is whether it estimates the mean of the model's
-    error, and not its scatter alone.
+    ``simulator`` returns, for a reference room and its number, the function that simulates it.
+    ``stream`` is the number of the simulator's stream of random numbers, so that simulators have
+    different rooms. ``setups`` is the number of rooms, each with coefficients drawn from the prior, and
+    ``duration`` the length of the decays in reverberation times. ``models`` are models of scattering,
+    used in turn for every two rooms, or none for a simulator without scattering. ``estimates_bias`` is
+    whether the mean of the errors estimates the equation's bias. If not, only their scatter is used.
     """
 
     name: str
@@ -280,10 +282,11 @@ class Engine:
         progress: TaskProgress | None = None,
         scheduler: str | None = None,
     ) -> ControlRooms:
-        """Simulate the reference rooms of a case, each of which is a task of its own.
+        """Return the errors of the equation in the reference rooms of a case, after simulating them.
 
-        With a run, a tracer at the run's coefficients and the same positions is the program. What the
-        equation errs by cancels then, and what two geometrical programs differ by is left.
+        In a configuration with a run of a program, a path tracing with the run's coefficients and the
+        same positions represents the program. Errors of the equation then cancel, and the differences
+        between two geometrical programs remain.
         """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
@@ -423,17 +426,16 @@ def control_rooms(
     cache: str | os.PathLike[str] | None = None,
     scheduler: str | None = None,
 ) -> tuple[ControlRooms, ...]:
-    """Simulate the case's reference rooms with two simulators, or read them from a folder.
+    """Return a case's reference rooms, simulated with two simulators or read from a folder.
 
     Reference rooms show how far the equation errs for rooms of this kind. `rtcal.find` uses those of
-    seed 0. Another seed shows how much a verdict depends on them:
-    ``find(case, controls=control_rooms(case, seed=1))``.
+    seed 0. Other seeds show how much a verdict depends on the reference rooms: ``find(case,
+    controls=control_rooms(case, seed=1))``.
 
     Each file in the folder ``cache`` holds the rooms of one simulator, for this case, seed and version
-    of rtcal. The folder can be deleted at any time. If a file cannot be read or written, the rooms are
-    simulated without an error.
-    ``scheduler`` is the address of a Dask scheduler whose workers simulate; by default threads of this
-    machine do.
+    of rtcal. You can delete the folder at any time. If a file cannot be read or written, the rooms are
+    simulated, and no error is raised. ``scheduler`` is the address of a Dask scheduler whose workers
+    simulate; by default threads of this machine do.
     """
     checks.whole("seed", seed, 0)
     where, rooms = None if cache is None else checks.path("cache", cache), []

@@ -303,12 +303,13 @@ _TRACE = 1e-9  # of the mean variance, on a diagonal: two of several features ma
 
 
 class Information:
-    """Expected information about which set of effects is there.
+    """Compute how much a further measurement is expected to show about which effects are missing.
 
-    Of n hypotheses with these ``moments`` over all features that are or could be measured, their
-    probabilities ``weights`` (n,), and the sets of effects ``groups`` (n,) that they belong to.
-    ``measured`` (m,) are the features that are measured already; their ``values`` (n_measured,) are in
-    the weights, and without them only the kind of the measurement is known.
+    ``moments`` are those of all features that are or could be measured, under n hypotheses. ``weights``
+    (n,) are the probabilities of the hypotheses, and ``groups`` (n,) the numbers of their sets of
+    effects. ``measured`` (m,) are the features that are measured already. If their ``values``
+    (n_measured,) are given, ``weights`` must already contain them. If ``values`` is None, only the kind
+    of measurement is known.
     """
 
     def __init__(
@@ -379,9 +380,10 @@ FURTHER = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
 
 
 def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) -> dict[str, float]:
-    """Return the evidence in nats to be expected against each effect if hypothesis ``first`` is true.
+    """Return the expected ln Bayes factor against each effect if hypothesis number ``first`` is true.
 
-    It is ½ min d' C⁻¹ d over the effect's parameters, with the features in use and ``further`` ones.
+    It is ½ min d' C⁻¹ d over the effect's parameters: d is the difference of the features under both
+    hypotheses, and C the covariance. The features are those in use and the ``further`` ones.
     """
     predicted, observed = problem.predicted, problem.observed
     used = observed.used.copy()
@@ -450,11 +452,11 @@ _ABSORBER = {"thickness": 0.05, "flow_resistivity": 12e3}
 
 @dataclass(frozen=True, eq=False)
 class FurtherMeasurement:
-    """A measurement that could be made next.
+    """Describe a measurement that could be made next.
 
-    ``parameters`` are measured in the configurations that there are, or ``configuration`` is measured.
-    ``same_error`` is the correlation of the model's error between it and the first one, ``share`` its
-    measurement variance over the first one's.
+    Either ``parameters`` are measured in the existing configurations, or a further ``configuration`` is
+    measured. ``same_error`` is the correlation of the model's error between the further and the first
+    configuration. ``share`` is the measurement variance over that of the first configuration.
     """
 
     measurement: Reason
@@ -500,10 +502,11 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherM
 def extended(
     problem: MeansProblem, further: Sequence[FurtherMeasurement]
 ) -> tuple[MeansProblem, Mask, list[Mask]]:
-    """Return the problem with every further configuration in its case.
+    """Return the problem with all further measurements, as if their configurations were in its case.
 
-    Its hypotheses are those of the case as it is. Of the features in use, (m,), follow which are
-    measured already, and which each further measurement adds.
+    Its hypotheses are those of the original case. Also returned are two masks over the features in use,
+    (m,): the features that are measured already, and, for each further measurement, the features that
+    it adds.
     """
     case, observed = problem.case, problem.observed
     new = [f for f in further if f.configuration is not None]

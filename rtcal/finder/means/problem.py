@@ -110,10 +110,11 @@ LARGEST_HYPOTHESES = 5000
 
 @dataclass(frozen=True, eq=False)
 class PredictedFeatures:
-    """Features of n states of a case's room, and how they depend on alpha and on the climate.
+    """Hold features such as ln T20 of n states of a case's room, and their derivatives.
 
-    ``features`` and ``slopes``, d features / d ln T20, are (n, n_configurations, n_features, n_bands),
-    ``jacobian``, -d ln T20 / d alpha, is (n, n_configurations, n_materials, n_bands).
+    ``features``, and ``slopes``, the derivatives of the features by ln T20, are (n, n_configurations,
+    n_features, n_bands). ``jacobian`` (n, n_configurations, n_materials, n_bands) is -d ln T20 / d
+    alpha.
     """
 
     case: Case
@@ -122,11 +123,12 @@ class PredictedFeatures:
     jacobian: Array
 
     def log_time_errors(self, rows: Indices) -> tuple[Array, Array]:
-        """Return the prior's covariance of ln T20, and what errors in common usually change of it.
+        """Return the covariance of ln T20 by coefficients and climate, and the common errors of ln T20.
 
-        (n, size, size) and (n, size, n_directions), the size that of configurations and bands; see
-        `rtcal.finder.evidence.factors`. A material that a configuration changed is independent of its
-        coefficients elsewhere.
+        The shapes are (n, size, size) and (n, size, n_directions), where size is the number of
+        configurations times the number of bands. Common errors are those of
+        `rtcal.finder.evidence.factors`. The coefficients of a material that a configuration changed are
+        independent of those in other configurations. ``rows`` are the numbers of the states.
         """
         sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)
         factor = self.jacobian[rows] * sigma
@@ -153,10 +155,11 @@ _RATE = 6 * np.log(10)
 def predict_in(
     case: Case, configuration: Configuration, states: Sequence[RoomState], far: float = 1.0
 ) -> Predicted:
-    """Return the features of states of a configuration, at ``far`` times its distances.
+    """Return the features of states of a configuration, at ``far`` times its source-receiver distances.
 
-    With a run they are moved by what the run differs by from the equation at the run's coefficients.
-    The reverberation time stays that of the equation, and so does its change with anything.
+    If the configuration has a run of a program, the difference between the run and the equation, at the
+    run's coefficients, is added. The reverberation time and its derivatives remain those of the
+    equation.
     """
     made = predict(states, far * distances(case, configuration))
     if configuration.simulated is None:
@@ -167,9 +170,10 @@ def predict_in(
 
 @lru_cache(maxsize=8)
 def offset_of(case: Case, configuration: Configuration) -> Array:
-    """Return the run's features less the equation's at its coefficients, (n_features, n_bands).
+    """Return the features of a configuration's run minus those of the equation, (n_features, n_bands).
 
-    NaN where the run has none; 0 without a run. What was added to the model is not in the run.
+    Both have the run's coefficients, and no effects that were added to the model. The result is NaN
+    where the run has no value, and 0 for a configuration without a run.
     """
     run = configuration.simulated
     if run is None:
@@ -271,10 +275,10 @@ class MeansHypotheses(PredictedFeatures):
 def predict_hypotheses(
     case: Case, effects: Sequence[Effect], grids: Sequence[Sequence[Parameters]] | None = None
 ) -> MeansHypotheses:
-    """Predict the case under every effect and set of parameters.
+    """Return the features of a case's model with every effect and each set of its parameters.
 
-    ``grids`` has the sets of each effect; the effects' own grids if not given. Raises DataError if an
-    effect breaks a rule, or T, C80 or G of no set of its parameters is finite.
+    ``grids`` has the sets of parameters to try for each effect; None means the effects' own. Raises
+    DataError if an effect breaks a rule, or if it has no set of parameters with a finite T, C80 and G.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
@@ -344,8 +348,9 @@ def features_of(
 ) -> Array:
     """Return the features of a case's model, (n_configurations, n_features, n_bands).
 
-    With other effects ``applied``, without what the configurations ``changed``, or at distances that
-    are ``far`` times as large in each configuration.
+    ``applied`` replaces the effects in the model; None keeps them. If ``changed`` is False, the changes
+    of the configurations are left out. ``far`` is a factor on the source-receiver distances, one number
+    or (n_configurations,).
     """
     case = case if applied is None else replace(case, applied=applied)
     out = []
@@ -408,12 +413,13 @@ def _misfit_of_all(change: Array, errors: Array, alone: float) -> Array:
 def misfit(
     d: Array, amount: Array, feature: NDArray[np.intp], errors: Array, alone: Array | float
 ) -> Array:
-    """Return the covariance of the error of an effect's formula, (..., m, m).
+    """Return the covariance of the error of an effect's equation, (..., m, m), for m features.
 
-    ``d`` (..., m) are the effect's changes of the features, in the rows ``feature`` (m,) of `FEATURES`,
-    and ``amount`` (..., m) those of ln T20 in the same band and configuration. ``errors`` (..., m,
-    n_errors) are relative errors in the features' bands (`Effect.errors_over_bands`), ``alone`` (...)
-    is the standard deviation of the relative error that no two features share.
+    ``d`` (..., m) are the effect's changes of the features, and ``feature`` (m,) their rows in
+    `FEATURES`. ``amount`` (..., m) are the changes of ln T20 in the same band and configuration.
+    ``errors`` (..., m, n_errors) are relative errors in the features' bands
+    (`Effect.errors_over_bands`). ``alone`` (...) is the standard deviation of the relative error that
+    each feature has by itself.
     """
     columns = misfit_columns(d, amount, feature, errors)
     own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
@@ -424,9 +430,10 @@ def misfit(
 
 
 def misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: Array) -> Array:
-    """Return the part of `misfit` that bands have in common, one standard deviation each.
+    """Return the errors of `misfit` that bands have in common, (..., m, n_errors + 2).
 
-    (..., m, n_errors + 2): the last two are of the decay's shape (`SHAPE_CHANGE`).
+    Each column is one standard deviation. The last two columns are errors of the decay's shape
+    (`SHAPE_CHANGE`). For the parameters see `misfit`.
     """
     shape = [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
     parts = np.sqrt(0.5) * np.stack(shape, axis=-1)
@@ -447,10 +454,10 @@ ONE_LEVEL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ObservedFeatures:
-    """The measured features, (n_configurations, n_features, n_bands), NaN where nothing was measured.
+    """Hold the measured features, (n_configurations, n_features, n_bands), NaN where not measured.
 
-    Of those that are ``used``, of the same shape, ``covariance`` (n_used, n_used) is R, that of the
-    measurement. ``origin`` says where the uncertainties come from.
+    ``used`` (of the same shape) are the features in use, and ``covariance`` (n_used, n_used) is the
+    covariance R of their measurement. ``origin`` is the source of the uncertainties, in words.
     """
 
     features: Array
@@ -632,9 +639,10 @@ pair, less of a mean over pairs."""
 
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> RoomState:
-    """Return the case's room in one configuration, with the applied effects.
+    """Return the acoustic state of a case's room in one configuration, with the applied effects.
 
-    ``alpha`` (n_materials, n_bands) replaces the room's; the configuration's changes apply on top.
+    ``alpha`` (n_materials, n_bands) replaces the coefficients of the room; None keeps them. The changes
+    of the configuration are then applied.
     """
     return states(case, configuration, [case.room.alpha if alpha is None else alpha])[0]
 
@@ -666,7 +674,8 @@ def with_applied(
 ) -> RoomState:
     """Return the room's state in a configuration, with the effects that were applied to the model.
 
-    A removable effect is left out of a configuration in which the suspected object was removed.
+    ``unchanged`` is the state without these effects. A removable effect is left out of a configuration
+    in which the suspected object was removed.
     """
     for p in applied:
         if not (configuration.suspect_removed and p.effect.removable):
@@ -703,14 +712,16 @@ class ModelDiscrepancy:
 
 
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
-    """Return bias and covariance of the model's discrepancy from reference rooms.
+    """Return the bias and the covariance of the model's error, estimated from reference rooms.
 
-    The bias is the mean of `bias_estimates`. The covariance is the scatter within each engine plus the
-    scatter between these estimates. A sample covariance of few rooms is shrunk towards its diagonal.
+    The bias is the mean of `bias_estimates`. The covariance is the scatter between the rooms of each
+    simulator plus the scatter between these estimates. Because the rooms are few, the covariance is
+    averaged with its own diagonal.
 
-    Room and geometrical program are exchangeable (`of_either`): the bias is 0, and an engine's mean is
-    an error of either sign, whose correlation over features and bands is kept. Reference rooms differ
-    from their programs by the simulator already, so that nothing is added for what one does not show.
+    Where a geometrical program's run is compared with the room (`of_either`), either may be in error.
+    The bias is then 0, and the mean of each simulator is an error of unknown sign, whose correlation
+    over features and bands is kept. In these reference rooms room and program have different
+    simulators, so that no further uncertainty is added.
     """
     n, k = len(case.configurations), case.room.n_bands
     size, either = n * len(FEATURES) * k, of_either(case)
@@ -738,7 +749,8 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
 def of_either(case: Case) -> NDArray[np.bool_]:
     """Return where a geometrical program's run is compared with the room, (n_configurations, 1, 1).
 
-    Either may have the less diffuse field: the program's scattering is a guess.
+    There, either of the two may have the less diffuse field, because the scattering coefficients in the
+    program are a guess.
     """
     by_run = [bool(case.program) and c.simulated is not None for c in case.configurations]
     return np.array(by_run)[:, None, None]
@@ -746,9 +758,10 @@ def of_either(case: Case) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Mean (n, m) and covariance (n, m, m) of the features in use under each of n hypotheses.
+    """Hold the mean (n, m) and covariance (n, m, m) of the m features in use under n hypotheses.
 
-    ``common`` (n, r, m) are the changes by what the coefficients usually err by in common.
+    ``common`` (n, r, m) are the changes of the features by r common errors of the coefficients, one
+    standard deviation each.
     """
 
     mean: Array
@@ -758,10 +771,11 @@ class Moments:
 
 @dataclass(frozen=True, eq=False)
 class MeansProblem:
-    """The problem of a search by means: what was measured, what each hypothesis predicts, the errors.
+    """Hold the problem of a search by means: the measurement, all predictions and their errors.
 
-    Of sets, ``cells`` (n_hypotheses, n_used, n_parameters) are changes of the features over the cell of
-    the grid that a hypothesis stands for, one standard deviation of each parameter (`compare`).
+    ``predicted`` has the features under each hypothesis, and ``discrepancy`` the error of the model.
+    ``cells`` (n_hypotheses, n_used, n_parameters) is used for sets of several effects: the standard
+    deviation of each feature over the cell of the grid that a hypothesis represents (`compare`).
     """
 
     case: Case
@@ -803,9 +817,10 @@ class MeansProblem:
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
     def by_log_time(self, predicted: PredictedFeatures, rows: Indices, changes: Array) -> Array:
-        """Return the changes of the features in use, (n, n_used, n_columns).
+        """Return how the features in use change with given changes of ln T20, (n, n_used, n_columns).
 
-        ``changes`` (n, size, n_columns) are those of ln T20 over configurations and bands.
+        ``changes`` (n, size, n_columns) are those of ln T20 in each configuration and band. ``rows``
+        are the numbers of the n hypotheses in ``predicted``.
         """
         c, f, b = self.places
         slopes = predicted.slopes[rows][:, c, f, b]
@@ -817,10 +832,11 @@ class MeansProblem:
         members: Sequence[Indices] | None = None,
         predicted: PredictedFeatures | None = None,
     ) -> Moments:
-        """Return the moments of some hypotheses: by default of these rows of the table.
+        """Return mean and covariance of the features in use under hypotheses, which ``rows`` number.
 
-        Of sets, ``predicted`` has all effects of a set in the state, and ``members`` are the rows of
-        the table whose errors add up, (n,) each.
+        For sets of effects, ``predicted`` has the features with all effects of a set, and ``members``
+        the numbers of the hypotheses whose errors are added, (n,) for each place in the set. If both
+        are None, the hypotheses are single effects.
         """
         made, alone = predicted or self.predicted, [rows] if members is None else members
         c, f, b = self.places
@@ -840,9 +856,10 @@ class MeansProblem:
     def of_alpha(
         self, rows: Indices, predicted: PredictedFeatures | None = None
     ) -> tuple[Array, Array]:
-        """Return J Sigma J' of some hypotheses, and their changes by errors in common.
+        """Return the covariance of the features by coefficients and climate, and their common errors.
 
-        (n, n_used, n_used) and (n, n_used, n_directions).
+        The shapes are (n, n_used, n_used) and (n, n_used, n_directions) for the n hypotheses ``rows``;
+        ``predicted`` is as of `moments`.
         """
         made = predicted or self.predicted
         of_time, together = made.log_time_errors(rows)
@@ -862,9 +879,10 @@ class MeansProblem:
         return out
 
     def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
-        """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
+        """Return the covariance of the features by the coefficients, and by all other errors.
 
-        Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
+        Both are (n_used, n_used), under hypothesis number ``i``. ``scale`` multiplies the common error
+        of the coefficients.
         """
         row = slice(i, i + 1)
         (alpha,), (common,) = self.of_alpha(row)
@@ -873,11 +891,11 @@ class MeansProblem:
         return alpha, self.without_alpha + self.error_of_change(row)[0]
 
     def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
-        """Return the distance of the measurement from hypothesis ``i``, and its probability.
+        """Return the distance of the measurement from hypothesis number ``i``, and its p-value.
 
-        The distance is sqrt(r' C^-1 r / n), 1 on average. The probability is that of a larger
-        chi-square (Gelman, Meng & Stern 1996, without their draws, since C includes the prior).
-        ``scale`` as for `covariance_of`.
+        The distance is sqrt(r' C⁻¹ r / n) of the n residuals r, which is 1 on average. The p-value is
+        the probability of a larger chi-square (Gelman, Meng & Stern 1996; their random draws are not
+        needed, because C contains the prior). ``scale`` is as of `covariance_of`.
         """
         alpha, other = self.covariance_of(i, scale)
         residual = self.residual(i)
@@ -907,11 +925,14 @@ def log_likelihoods(
     off: bool,
     coarsened: bool = True,
 ) -> tuple[Array, Array]:
-    """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
+    """Return the log densities of data under each hypothesis: without and with a common error.
 
-    Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated, the
-    second with coefficients that are off together: the mean density over `SCALES` under C + (s² - 1)
-    F F'; -inf without ``off``. ``coarsened`` as for `rtcal.finder.evidence.student`.
+    Both arrays are (n_ends, n_hypotheses, n_draws). The first is with the input coefficients. The
+    second is with coefficients that have a common error F: the mean density over the factors s of
+    `SCALES`, with the covariance C + (s² - 1) F F'; it is -inf if ``off`` is False. ``parts`` are the
+    moments of n features, of some of the hypotheses at a time. ``values`` (n_draws, n) are measured or
+    drawn features, and ``ends`` the numbers of leading features that are used, rising. For
+    ``coarsened`` see `rtcal.finder.evidence.student`.
     """
     scales = np.array(SCALES)
     more, log_probability = (scales[:, 0] ** 2 - 1)[:, None, None], np.log(scales[:, 1])
@@ -960,11 +981,11 @@ NEGLIGIBLE = 8.0
 
 @dataclass(frozen=True, eq=False)
 class MeansEvidence:
-    """Log likelihood of every hypothesis, in nats: (n_hypotheses,), or (n_hypotheses, n_draws).
+    """Hold the log likelihood of every hypothesis, (n_hypotheses,) or (n_hypotheses, n_draws).
 
-    ``stated`` with the coefficients as stated, ``off`` with coefficients that are off together.
-    ``unknown`` is the log evidence of an unknown effect, a float or (n_draws,). ``prior_off`` is the
-    prior probability of coefficients that are off together.
+    ``stated`` is that with the input coefficients, ``off`` that with coefficients that have a common
+    error, and ``prior_off`` the prior probability of such an error. ``unknown`` is the log evidence of
+    an unknown effect, a float or (n_draws,).
     """
 
     problem: MeansProblem
@@ -1018,11 +1039,11 @@ def evaluate(
     values: Array | None = None,
     ends: Sequence[int] = (),
 ) -> list[MeansEvidence]:
-    """Return the evidence of every hypothesis and of an unknown effect.
+    """Return the log evidence of every hypothesis and of an unknown effect.
 
-    It is that of the first so many features, for each of ``ends``, and last of all. ``values``
-    (n_draws, n_used) replace the observed features; ``prior_off`` is the prior probability of
-    coefficients that are off together.
+    The list has one entry for each number of leading features in ``ends``, and a last one for all
+    features. ``values`` (n_draws, n_used) replace the measured features; None keeps them. ``prior_off``
+    is the prior probability that the coefficients have a common error.
     """
     ends = [*ends, len(problem.observed.values)]
     y = np.atleast_2d(problem.observed.values if values is None else values)
@@ -1051,11 +1072,11 @@ _IMPOSSIBLE = -1e4
 def evaluate_beyond(
     problem: MeansProblem, prior_off: float, ends: Sequence[int] = ()
 ) -> list[MeansEvidence]:
-    """Return the evidence (`evaluate`) of hypotheses whose grids go on until it falls.
+    """Return the log evidence as `evaluate` does, with more sizes if the last one of a grid fits best.
 
-    An effect whose likeliest size is the last of its grid gets further sizes, in the grid's own steps
-    and away from the size that changes nothing. They end where physics does (`Effect.limits`), or where
-    the evidence no longer changes. The prior's density goes on as the effect states it.
+    The further sizes have the grid's own steps, and lead away from the size that changes nothing. They
+    end at the physical limits (`Effect.limits`), or where the evidence no longer changes. Their prior
+    density is that of the effect.
     """
     case = problem.case
     evidence, reached = evaluate(problem, prior_off, ends=ends), dict[str, float]()
@@ -1094,8 +1115,9 @@ def unknown_evidence(
 ) -> Array:
     """Return the log evidence of an unknown effect: a change that is partly smooth over bands.
 
-    (n_ends, n_draws), of the first so many features for each of ``ends``. ``coarsened`` as for
-    `rtcal.finder.evidence.student`.
+    The shape is (n_ends, n_draws). ``residual`` is measured minus predicted, ``covariance`` that of the
+    residual, ``used`` the features in use, and ``ends`` the numbers of leading features that are used.
+    For ``coarsened`` see `rtcal.finder.evidence.student`.
     """
     count, _, n_bands = used.shape
     lag = np.abs(np.subtract.outer(np.arange(n_bands), np.arange(n_bands)))
@@ -1147,10 +1169,10 @@ def null_scores(
 
 
 def thresholds(scores: Array) -> Array:
-    """Return the threshold of each step, (n_steps,), from the null rooms' scores (n_draws, n_steps).
+    """Return the threshold of each step, (n_steps,), from scores of rooms with nothing missing.
 
-    They are quantiles of the steps at one level, and at least `MINIMUM`. Of the rooms `QUANTILE` exceed
-    none of them.
+    ``scores`` are (n_rooms, n_steps). The thresholds are quantiles of the steps at one common level,
+    and at least `MINIMUM`. A share of `QUANTILE` of the rooms exceeds none of them.
     """
     raised = np.maximum(scores, MINIMUM)
     below = [np.searchsorted(np.sort(column), column) for column in raised.T]
@@ -1168,10 +1190,11 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
 
 
 def score(evidence: MeansEvidence, prior: Prior) -> Array:
-    """Return the log evidence that something is missing, over "none", in nats.
+    """Return the ln Bayes factor that something is missing from the model, against "none".
 
-    It is that of every hypothesis but "none", weighted by its prior probability. A geometrical
-    program's own field counts as nothing missing (`rtcal.finder.claim.of_program`).
+    It is the mean evidence of all hypotheses other than "none", weighted by their prior probabilities.
+    A difference that only a geometrical program's sound field explains counts as "none"
+    (`rtcal.finder.claim.of_program`).
     """
     table: Mapping[str, Array] = evidence.by_effect()
     program, effects = evidence.problem.case.program, evidence.problem.predicted.effects
@@ -1194,9 +1217,11 @@ def draw_null_features(
     rng: np.random.Generator,
     n: int,
 ) -> Array:
-    """Draw features (n, n_used) of rooms that lack nothing, with the engines' errors in them.
+    """Return random features (n, n_used) of rooms from whose model nothing is missing.
 
-    ``applied`` is the covariance of the effects in the model, and of distances that are not stated.
+    ``errors`` are the equation's errors by each simulator, of which one is added to each room.
+    ``applied`` is the covariance by the effects in the model, and by distances that are not known.
+    ``rng`` is the generator of random numbers.
     """
     in_common = drawn(directions(case, NULL_POWER), case.room.materials, rng, n)
     alphas = draw_alpha(case, rng, n) + in_common
@@ -1267,11 +1292,11 @@ def applied_effects(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedE
 
 
 def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], frozenset[str]]:
-    """Return the effects' names in the order in which they act on a state, and those that bend it.
+    """Return the effects' names in the order in which they act, and those that replace the decay.
 
-    Another equation comes first, since absorbers are added in its terms; then whatever contradicts
-    what the room states; then what is added to it. A set holds one effect at most that replaces the
-    decay's shape.
+    Another equation acts first, because absorbers are added in its terms; then effects that replace
+    input values of the room; then effects that are added. A set may have only one effect that replaces
+    the decay's shape.
     """
     base = state(case, case.configurations[0])
     changed = {
@@ -1288,10 +1313,10 @@ def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], fro
 
 
 class Screen:
-    """Log likelihoods of pairs from the changes that each effect causes alone.
+    """Compute log likelihoods of pairs of effects from the changes that each effect causes alone.
 
-    With a ``base``, of pairs beside the effects of these rows. Row 0, "none", is a member that changes
-    nothing.
+    ``base`` are numbers of hypotheses whose effects are added to every pair. Hypothesis 0, "none",
+    changes nothing.
     """
 
     def __init__(self, compared: MeansProblem, base: Members = ()) -> None:
@@ -1343,9 +1368,10 @@ class Screen:
 
 
 def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool) -> Array:
-    """Return the log likelihoods of sets in nats, each with all of its effects in the state.
+    """Return the log likelihoods of sets of effects, (n_sets, 2).
 
-    (n_sets, 2): with the coefficients as stated, and off together; -inf without ``off``.
+    All effects of a set are added to the room's state. The first column is with the input coefficients,
+    the second with coefficients that have a common error, or -inf if ``off`` is False.
     """
     begins, possible = range(0, len(sets), _SETS_AT_ONCE), list[NDArray[np.bool_]]()
 
@@ -1362,9 +1388,10 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool)
 
 
 def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, NDArray[np.bool_]]:
-    """Return the moments with all effects of a set in the state, and which sets are possible, (n,).
+    """Return the moments of the features with all effects of a set, and which sets are possible.
 
-    A set that is not has no finite features; its moments are 0 and the unit matrix.
+    The second result is (n_sets,) of bool. An impossible set has no finite features, and its moments
+    are set to 0 and the unit matrix.
     """
     most = max(map(len, sets))
     members = [np.array([rows[k] if k < len(rows) else 0 for rows in sets]) for k in range(most)]
@@ -1414,12 +1441,12 @@ def unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
 
 
 def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float]]) -> Array:
-    """Return the posterior mean of alpha over sets with these probabilities, (n_materials, n_bands).
+    """Return the mean of alpha after the measurement over probable sets, (n_materials, n_bands).
 
-    Under each set, features and coefficients are jointly normal, with the moments that the evidence
-    has: E[alpha | y] = mu + Sigma G' C^-1 (y - mean), G = d features / d alpha. Each set has its
-    probability as its weight (Hoeting et al. 1999). So T bends the coefficients only as far as neither
-    an effect nor the model's error explains it. Coefficients stay within 0 and 1.
+    ``likely`` are the sets and their probabilities, which are the weights of the mean (Hoeting et al.
+    1999). Under each set, features y and coefficients are jointly normal: E[alpha | y] = mu + Sigma G'
+    C⁻¹ (y - mean), with G = d features / d alpha. Therefore T changes the coefficients only as far as
+    neither an effect nor the model's error explains T. Coefficients remain within 0 and 1.
     """
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)
@@ -1458,12 +1485,12 @@ DISTINCT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SetPosterior:
-    """The posterior of sets of effects.
+    """Hold the probabilities of sets of effects after the measurement.
 
     ``sets`` maps each set, as names in the order in which they act, to its probability, the most
-    probable first; () is "none". ``rows`` maps it to its most probable parameters. ``off`` maps it to
-    the probability of coefficients that are off together beside it. ``likely`` are the most probable
-    rows with their probabilities, unknown effects left out; they sum to 1.
+    probable first; () means that nothing is missing. ``rows`` has the set's most probable parameters,
+    and ``off`` the probability of a common error of the coefficients, given the set. ``likely`` are the
+    most probable hypotheses without unknown effects, with probabilities that sum to 1.
     """
 
     sets: Mapping[Names, float]
@@ -1480,9 +1507,9 @@ class SetPosterior:
         )
 
     def effects(self) -> dict[str, float]:
-        """Return the probability of each effect that it is there at all, the most probable first.
+        """Return the probability that each effect is missing, the most probable first.
 
-        "none" is that of no effect, and coefficients as stated.
+        "none" has the probability that no effect is missing and the coefficients have no common error.
         """
         out = summed((name, p) for names, p in self.sets.items() for name in names)
         out[COEFFICIENTS] = sum(p * self.off[names] for names, p in self.sets.items())
@@ -1499,9 +1526,10 @@ class SetPosterior:
         return most_probable_first(out | summed(parts))
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
-        """Return, for each effect of a set, the effects that explain the data as well.
+        """Return, for each effect of the set ``best``, the effects that explain the data about as well.
 
-        They take its place in the set with odds of at least `DISTINCT` against it.
+        Such an effect takes the place of the first one in the set, and the new set has at least
+        `DISTINCT` times the probability of ``best``.
         """
         out = {}
         for name in best:
@@ -1516,9 +1544,9 @@ class SetPosterior:
 
 
 def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]) -> SetPosterior:
-    """Return the posterior of sets of one, from the ``probabilities`` of a single effect.
+    """Return the posterior of sets of one effect, from the ``probabilities`` of single effects.
 
-    "coefficients" among these is the empty set with coefficients that are off together.
+    "coefficients" among them becomes the empty set with a common error of the coefficients.
     """
     nothing = probabilities[NONE] + probabilities[COEFFICIENTS]
     sets: dict[Names, float] = {(): nothing}
@@ -1552,8 +1580,8 @@ def posterior_of_sets(
 ) -> SetPosterior:
     """Return the probabilities of all sets of up to ``most`` effects.
 
-    ``expected`` is the prior mean of the number of effects. Three are tried only if the best two do
-    not explain the measurement (`UNEXPLAINED`).
+    ``expected`` is the number of missing effects that is expected before the measurement. Sets of three
+    are tried only if the best set of two does not explain the measurement (`UNEXPLAINED`).
     """
     tables = _Tables(compared, prior)
     if most > 1:

@@ -73,7 +73,7 @@ class Recalibrated(Result):
     def sigma(self) -> Array:
         """Standard uncertainty of the calibrated alpha, (n_materials, n_bands).
 
-        It is right only if the effects in the model are right, with their parameters and sizes.
+        It is valid only if the effects in the model, their parameters and sizes are right.
         """
         return np.asarray(self.joint.posterior_sigma[: self.case.room.n_materials])
 
@@ -159,9 +159,9 @@ _TIMES = LinearObservations("ln T")
 
 
 def plain(case: Case) -> Recalibrated:
-    """Calibrate without effects: an exact match of the first configuration's T20.
+    """Return a calibration without effects that gives exactly T20 of the first configuration.
 
-    A band whose T no alpha reaches gets the nearest reachable T.
+    In a band whose T20 no alpha gives, the nearest possible T20 is used.
     """
     case.require_fresh()
     case, equation = replace(case, applied=()), mean_equation(case.equation)
@@ -245,11 +245,12 @@ def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) ->
 
 @dataclass(frozen=True, eq=False)
 class LogTimes:
-    """ln T of a case's configurations, an observation of the room's coefficients.
+    """Hold ln T of a case's configurations, as an observation of its coefficients.
 
-    The coefficients are the room's, then those that configurations change. ``fitted`` are the numbers
-    of the configurations that are calibrated to; ``measured`` (n_fitted, n_bands) is ln T less the
-    model's bias, NaN where it is missing, and ``u`` its standard deviation.
+    The unknown coefficients are those of the room, followed by those of materials that configurations
+    change. ``fitted`` are the numbers of the configurations that are calibrated to. ``measured``
+    (n_fitted, n_bands) is ln T minus the model's bias, NaN where T is missing, and ``u`` its standard
+    deviation.
     """
 
     case: Case

@@ -117,27 +117,28 @@ def find(
     progress: TaskProgress | None = None,
     scheduler: str | None = None,
 ) -> Finding:
-    """Find the effects that the model of a case lacks.
+    """Find the effects that are missing from the model of a case, by means over positions.
 
     Parameters
     ----------
     case : Case
+        Room with its measured configurations.
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
     prior : mapping of str to float, optional
-        Prior odds of effects against the others, in place of their own: ``{"opening": 2.0}``. Those
-        of "none" are against anything missing, those of "coefficients" against coefficients as stated.
-        Where ``most`` is above 1, the number of effects is Poisson, and those of "none" give its mean,
-        0.7 unless stated.
+        Prior odds of effects relative to other effects, instead of their own: ``{"opening": 2.0}``.
+        "none" has the odds that nothing is missing, "coefficients" the odds of a common error of the
+        coefficients. If ``most`` is above 1, the number of missing effects has a Poisson distribution,
+        and the odds of "none" give its mean, which is 0.7 by default.
     effects, without, only, controls, cache, progress, scheduler
-        As `rtcal.find` takes them; ``without`` may have "coefficients" and "unknown".
+        As `rtcal.find` takes them; ``without`` may contain "coefficients" and "unknown".
 
     Raises
     ------
     DataError
-        For reference rooms of one engine, or of another case; if the room was
-        calibrated on one of the case's T already; for an effect that breaks a rule, which the message
-        names; if ``most`` is out of its range.
+        For reference rooms of a single simulator, or of another case; if the room was already
+        calibrated to one of the case's T; for an effect that breaks a rule, which the message names; if
+        ``most`` is not from 1 to 3.
 
     Examples
     --------
@@ -408,9 +409,10 @@ def estimate_size(
 ) -> tuple[Parameters, Size | None]:
     """Return the effect's most probable parameters, and its size with a 90 % interval.
 
-    Without ``precise``, the best set of the grid is taken, and the size is evaluated for it in wide
-    steps. With it, a search improves the best set, and the size is evaluated in fine steps for it and
-    for the three most probable sets of the other parameters.
+    ``name`` is the effect's name. If ``precise`` is False, the parameters are the best set of the grid,
+    and the size is evaluated in wide steps. If it is True, a search improves this set, and the size is
+    evaluated in fine steps, also for the three most probable sets of the other parameters. The size is
+    None for an effect that has none.
     """
     problem = evidence.problem
     predicted, base = problem.predicted, state(problem.case, problem.case.configurations[0])
@@ -596,13 +598,14 @@ def decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None
 
 
 def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
-    """Return a doubt where T is about twice or half the model's.
+    """Return a doubt if measured T is about twice or half the model's T; None otherwise.
 
-    It leaves the effect's family claimed where the effect explains the data better than a factor that
-    is alike in all bands, as most mistakes in what is stated are: in the units of T, or in volume,
-    areas or coefficients, where the other features follow T. None where the effect explains them better
-    than other units of T do, and decay shape, level and the other configurations show it by themselves:
-    a noise floor may make T six times as long, and a wrong volume does not bend the decay.
+    Most mistakes of this size are wrong input: units of T, volume, areas or coefficients. They change T
+    by a factor that is alike in all bands, and the other parameters change with T. If the effect
+    ``name`` explains the data better than such a factor, its group remains identified. The result is
+    also None if the effect explains them better than other units of T do, and if decay shape, level or
+    the other configurations show the effect by themselves. Examples are a noise floor, which may make T
+    six times as long, and a decay shape that no wrong volume gives.
     """
     problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]
@@ -630,10 +633,11 @@ _DRAWS = 64
 
 @dataclass(frozen=True)
 class GapCheck:
-    """Mean absolute gap in JND of parameters that alpha cannot adjust; NaN where none was measured.
+    """Hold mean absolute deviations of parameters that alpha cannot fit, without and with an effect.
 
-    ``uncertainty`` is the standard deviation of ``after - before`` by measurement and model error,
-    ``predictive`` the evidence of the effect over "none" in those features, given the fitted T20.
+    ``before`` and ``after`` are in JND, NaN if none of these parameters was measured. ``uncertainty``
+    is the standard deviation of ``after`` minus ``before`` by the errors of measurement and model.
+    ``predictive`` is the ln Bayes factor of the effect from these parameters, given the fitted T20.
     """
 
     before: float
@@ -655,10 +659,11 @@ def gap_check(
     candidate: Candidate,
     held: NDArray[np.bool_] | None = None,
 ) -> GapCheck:
-    """Return the gap under "none" and with a candidate; the candidate's effect must be in the problem.
+    """Return the deviations in JND without an effect and with a candidate's effect.
 
-    ``held`` (n_used,) are the features that count, by default all that alpha cannot fit; the evidence
-    is of these, given the others.
+    The effect must be among those of ``problem``. ``held`` (n_used,) are the features that are
+    compared; None means all that alpha cannot fit. The ln Bayes factor is that of these features, given
+    the others.
     """
     problem, last = _with_candidate(problem, candidate)
     c, f, _ = problem.places

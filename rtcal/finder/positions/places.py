@@ -23,10 +23,10 @@ _RIVALS = 3
 
 @dataclass(frozen=True)
 class Place:
-    """Hold a proposed position for a further receiver: a ``point`` in m, at the receivers' mean height.
+    """Hold a proposed position for a further receiver: a ``point`` (x, y, z) in m.
 
-    ``nats`` is the expected ln Bayes factor between the two most probable surfaces that a measurement
-    from the ``source`` to this point adds.
+    The point is at the receivers' mean height. ``nats`` is the ln Bayes factor between the two most
+    probable surfaces that a measurement from the ``source`` to this point is expected to add.
     """
 
     point: tuple[float, float, float]
@@ -35,7 +35,9 @@ class Place:
 
 
 def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
-    """Return the positions for a further receiver that best show which surface differs, best first.
+    """Return positions for a further receiver that best show on which surface the effect is.
+
+    The best position comes first.
 
     Parameters
     ----------

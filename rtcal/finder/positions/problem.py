@@ -119,11 +119,12 @@ ODDS = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sizes:
-    """Hypotheses of one effect in one place, with their ``sizes`` (n_hypotheses,) in ``unit``.
+    """Hold hypotheses of one effect in one place, with their ``sizes`` (n_hypotheses,) in ``unit``.
 
-    ``place`` is the source, receiver or pair, or the material whose coefficients are off; ``surface``
-    the number of the surface, None for the whole room and the measurement. ``odds`` (n_hypotheses,) are
-    the prior odds of each within its effect: over all surfaces they sum to those of the effect.
+    ``place`` is the name of the source, receiver or pair, or of the material whose coefficients have an
+    error. ``surface`` is the number of the surface, None for the whole room and for errors of the
+    measurement. ``odds`` (n_hypotheses,) are the prior odds of each size. Their sum over all surfaces
+    is the prior odds of the effect.
     """
 
     effect: str
@@ -168,11 +169,11 @@ class ShiftHypothesis(Sizes):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpreadHypothesis(Sizes):
-    """Hypotheses that some values err by more.
+    """Hold hypotheses that the errors of some measured values are larger than assumed.
 
-    The covariance grows by ``scales**2 columns columns'``. ``rows`` are the values' numbers in the
-    order (band, parameter, pair), ``columns`` (n_rows, n_errors) their errors, one standard deviation
-    each at a scale of 1. ``scales`` are (n_hypotheses,).
+    The covariance of these values grows by ``scales**2 columns columns'``. ``rows`` are the numbers of
+    the values, by band, parameter and pair. ``columns`` (n_rows, n_errors) are their additional errors,
+    one standard deviation each. ``scales`` (n_hypotheses,) are factors on these errors.
     """
 
     family: str = MEASUREMENT
@@ -183,11 +184,12 @@ class SpreadHypothesis(Sizes):
 
 @dataclass(frozen=True, eq=False)
 class PositionsHypotheses:
-    """All hypotheses as one table; evidence and posterior weights are arrays (n,) of its rows.
+    """Hold all hypotheses as the rows of one table, with their prior probabilities.
 
-    The rows are "none", coefficients that are off together, something that no effect explains, each
-    spread and each shift with each of its sizes, and, where something may be ``unknown``, each shift
-    once more with it beside. ``off`` is the probability of coefficients that are off together.
+    The first three rows are "none", a common error of the coefficients, and an unknown effect. Then
+    follow each of ``spreads`` and each of ``shifts``, with each of its sizes. If ``unknown`` is True,
+    each of ``shifts`` follows once more, in combination with an unknown effect. ``off`` is the
+    probability of a common error of the coefficients.
     """
 
     shifts: Sequence[ShiftHypothesis]
@@ -229,9 +231,11 @@ class PositionsHypotheses:
 
 
 def towards(moved: Array, stated: Array) -> Array:
-    """Return the weights of `SHARES` for changes of alpha (..., n_bands), (..., n_bands, n_nodes).
+    """Return the interpolation weights of the nodes `SHARES` for changes of alpha.
 
-    A change is a share of the way to 1, or (below 0) to a hard wall.
+    ``moved`` (..., n_bands) are the changes, and ``stated`` is the input alpha. A change is expressed
+    as a share of the way to alpha = 1 or, below 0, to a hard wall. The weights are (..., n_bands,
+    n_nodes).
     """
     up = moved / np.maximum(1 - stated, 1e-6)
     down = moved / np.maximum(stated - HARD, 1e-6)
@@ -248,9 +252,10 @@ OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
 
 
 def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
-    """Return the weights of a mean change of the absorption, (n_parameters n_pairs,).
+    """Return the weights that give a band's mean change of absorption, (n_parameters * n_pairs,).
 
-    Their signs say whether a parameter's linear scale rises or falls with the absorption.
+    The weights are applied to the changes of all parameters at all pairs. A weight is negative if the
+    parameter's linear scale falls as the absorption grows.
     """
     rises = [1.0 if observable(name).rises else -1.0 for name in parameters]
     return np.repeat(rises, n_pairs) / (len(parameters) * n_pairs)
@@ -288,9 +293,9 @@ tables, and now and then by a factor of three."""
 
 
 def materials(case: PositionsCase) -> list[ShiftHypothesis]:
-    """Return each material's coefficients off by a factor.
+    """Return the hypotheses that the coefficients of one material are wrong by a factor.
 
-    It is an absorber on all of its surfaces, with the material's own spectrum.
+    Each is an absorber on all surfaces of the material, with the material's own spectrum.
     """
     room = case.room
     over_bands = bands.correlation(room.centre_frequencies, 0.7)
@@ -328,9 +333,10 @@ def stated_room(case: PositionsCase) -> RoomState:
 
 
 def whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
-    """Return an effect of `WHOLE`: other climates, or air where none is stated; other volumes.
+    """Return the hypotheses of an effect on the whole room: another climate, or another volume.
 
-    Another volume is the geometry scaled. One that is traced has no gross mistake in it.
+    A room without an input climate gets air. Another volume means that all lengths of the geometry are
+    scaled; gross mistakes in a volume are not tried, because the geometry was traced.
     """
     room, stated, f = case.room, stated_room(case), case.room.centre_frequencies
     nodes: Sequence[float]
@@ -463,9 +469,10 @@ def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
 def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[ShiftHypothesis]:
     """Return the hypotheses of each surface, followed by the hypotheses of its parts.
 
-    `LOCATED` of the odds of a size go to the parts that hold it. The others stay with what is spread
-    over the surface. So the odds of a surface do not depend on the number of its parts. What covers a
-    stated absorber is a share of the whole surface, and has no parts; nor has an aperture.
+    Of the odds of a size, the share `LOCATED` goes to the parts that are large enough, and the rest to
+    an effect that is spread over the surface. The odds of a surface therefore do not depend on the
+    number of its parts. A cover on an input absorber is a share of the whole surface and has no parts.
+    An aperture has no parts, either.
     """
     out = []
     for shift in shifts:
@@ -500,10 +507,11 @@ def spreads(
     moved: Mapping[str, Array],
     errors: Array,
 ) -> list[SpreadHypothesis]:
-    """Return the hypotheses of the measurement: displaced places, and noisy pairs.
+    """Return the hypotheses of errors of the measurement: displaced positions, and noisy pairs.
 
-    ``moved`` are shifts where a source or receiver is displaced (`PairShifts`). ``errors`` (n_bands,
-    n_parameters, n_pairs, same three) is the covariance of the errors of simulator and measurement.
+    ``measured`` are the measured pairs. ``moved`` has the changes of the values if a source or receiver
+    is displaced, by its name (`PairShifts`). ``errors`` (n_bands, n_parameters, n_pairs, n_bands,
+    n_parameters, n_pairs) is the covariance of the errors of simulator and measurement.
     """
     shape = errors.shape[:3]
     number = np.arange(math.prod(shape)).reshape(shape)
@@ -543,9 +551,10 @@ def spreads(
 
 
 class ScatteringLevels(NamedTuple):
-    """Shifts of the whole room if it scatters more or less than is assumed, (n, n_levels).
+    """Hold the changes of all values if the room scatters more or less than assumed, (n, n_levels).
 
-    In the order (band, parameter, pair), with the log prior probabilities of the levels, (n_levels,).
+    The n values are ordered by band, parameter and pair. ``log_weights`` (n_levels,) are the log prior
+    probabilities of the levels of scattering.
     """
 
     shifts: Array
@@ -558,12 +567,14 @@ Residuals = tuple[Array, Array]
 
 @dataclass(eq=False)
 class Likelihood:
-    """The density of a residual (n,) under one covariance (n, n) of everything but the hypothesis.
+    """Compute the density of residuals (n,) under each hypothesis.
 
-    Values are in the order (band, parameter, pair); what was not ``used`` (n,) says nothing. ``nodes``
-    (n_bands, n_values, n_nodes) are shifts at the nodes of each response, ``uneven`` (n_values,
-    n_columns) deviations by pair at a change of 1 of the absorption (`uneven_columns`), and ``amount``
-    (n_values,) the weights of a band's shift in that change.
+    ``covariance`` (n, n) is that of all errors but those of the hypothesis. Values are ordered by band,
+    parameter and pair, and only the ``used`` ones (n,) were measured. ``nodes`` (n_bands, n_values,
+    n_nodes) are the changes of the values at the nodes of each response, between which they are
+    interpolated. ``uneven`` (n_values, n_columns) are deviations of single pairs, for a change of the
+    absorption by 1 (`uneven_columns`). ``amount`` (n_values,) are the weights that give this change
+    from the change of a band's values. ``levels`` are the changes with scattering.
     """
 
     covariance: Array
@@ -732,11 +743,14 @@ def simulator_error(
 ) -> Array:
     """Return the covariance of the error of the mean of some tracings, (n, n).
 
-    n = parameters x pairs x bands. It is that of the reference simulations without their noise, what is
-    common to all pairs as large as is assumed, of the scattering of the materials, and of the paths'
-    noise. ``noise`` (n_groups, n_parameters, n_pairs, n_bands) are deviations of all groups of paths
-    from the mean of their tracing. ``scattering`` (n_parameters, n_pairs, n_bands, n_materials) are
-    derivatives by the log odds of each material's scattering, ``scattering_noise`` their deviations.
+    The n values are all parameters, pairs and bands. The covariance has parts of the reference
+    simulations without their noise, of the scattering of the materials, and of the noise of the paths.
+    The error that all pairs have in common is increased to its assumed size.
+
+    ``noise`` (n_groups, n_parameters, n_pairs, n_bands) are the deviations of all groups of paths from
+    the mean of their tracing. ``scattering`` (n_parameters, n_pairs, n_bands, n_materials) are
+    derivatives by the log odds of each material's scattering coefficient, and ``scattering_noise``
+    their deviations, in the groups. ``tracings`` is the number of tracings.
     """
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
@@ -778,10 +792,10 @@ _LEVELS = np.linspace(-2.4, 2.4, 9)
 
 
 def levels(traced: Array) -> ScatteringLevels:
-    """Return what scattering changes, at levels with the prior of a calibration to every position.
+    """Return how all values change with scattering, with the prior of a calibration to all positions.
 
-    All pairs have the mean change. ``traced`` (n_bands, n_parameters, n_pairs, n_traced)
-    has the shifts at `TRACED`.
+    The change is the mean over the pairs. ``traced`` (n_bands, n_parameters, n_pairs, n_traced) has the
+    changes at the traced levels `TRACED`.
     """
     from scipy.interpolate import CubicSpline
 
@@ -794,9 +808,10 @@ def levels(traced: Array) -> ScatteringLevels:
 
 
 def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array) -> Array:
-    """Return the covariance of what lobes change, (n, n), in the order (band, parameter, pair).
+    """Return the covariance of the values by unknown directivities of the sources, (n, n).
 
-    ``nodes`` (n_bands, n_values, n_aims) are shifts by the lobes of `lobes`, by parameter and pair.
+    The n values are ordered by band, parameter and pair. ``nodes`` (n_bands, n_values, n_aims) are the
+    changes of the values with each directivity that `lobes` returns.
     """
     n_bands, n_values, _ = nodes.shape
     of_source = np.array([source for source, _ in pairs] * (n_values // len(pairs)))
@@ -809,29 +824,29 @@ def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array)
 
 
 class PositionsProblem:
-    """The problem of a search: its data, the shifts of its hypotheses, its errors.
+    """Hold the problem of a search at positions: its data, their changes by each effect, their errors.
 
-    All arrays are in the order (band, parameter, pair). Raises DataError if too little was measured.
+    All n values are ordered by band, parameter and pair. Raises DataError if too little was measured.
 
     Attributes
     ----------
     residual : array (n,)
-        Measured less simulated as stated, on the scales of `Observable.linear`; 0 where nothing was
-        measured, which ``used`` (n,) says.
+        Measured minus simulated with the input coefficients, on the scales of `Observable.linear`; 0
+        where nothing was measured. ``used`` (n,) is whether each value was measured.
     scale : array (n,)
-        Derivative of the scales at the measured values: factor of an error.
+        Derivatives of these scales at the measured values, by which errors are multiplied.
     moved : mapping of str to array (n_parameters, n_pairs, n_bands, n_displacements)
-        Shifts where a source or receiver is displaced, by its name.
+        Changes of the values if a source or receiver is displaced, by its name.
     alpha : array (n, n_unknowns)
-        Factor of the prior's covariance of the parameters: coefficients, what catalogues err by in
-        common, and the climate. ``together`` (n, n_errors) is the part that is a common error.
+        Square root of the covariance of the values by coefficients, common errors of tables, and
+        climate. ``together`` (n, n_errors) is its part by common errors.
     measurement, simulator_error : array (n, n)
-        Covariances of their errors.
+        Covariances of the errors of the measurement and of the simulator.
     aimed : array (n, n), optional
-        Covariance of what other lobes of the sources change; None where no source may have any.
+        Covariance of the values by other directivities of the sources; None if all are known.
     gains : sequence of array (n, n)
-        Covariances of what other gains of calibrated sources change, alike in all bands and band by
-        band; none where the level is relative, or its common uncertainty is stated.
+        Covariances of the values by errors of the gains of calibrated sources, alike in all bands and
+        in single bands; empty if the level is relative, or if its common uncertainty is given.
     """
 
     def __init__(self, case: PositionsCase, made: PairShifts, controls: ControlRuns) -> None:
@@ -926,9 +941,9 @@ class PositionsProblem:
         self.measurement = reordered(measurement, stated.shape) * scales
 
     def likelihoods(self, sources: Array | float = 0.0) -> Likelihoods:
-        """Return the likelihoods with coefficients as stated, off together, and of the unknown.
+        """Return the likelihoods with the input coefficients, with a common error, and of the unknown.
 
-        ``sources`` is a covariance of what the sources may be off by: `aimed` or `gains`.
+        ``sources`` is a further covariance by errors of the sources: `aimed` or one of `gains`.
         """
         error = self.simulator_error
         base = self.alpha @ self.alpha.T + self.measurement + error + sources

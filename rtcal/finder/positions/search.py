@@ -147,10 +147,11 @@ def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual
 
 
 def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[float, float]:
-    """Return the evidence in nats that something is other than stated, and that a pair is noisy.
+    """Return the ln Bayes factors that something differs from the model, and that a pair is noisy.
 
-    Of log posterior weights. A noisy pair is no evidence of the first, which is against nothing or such
-    a pair; that of the second is against nothing. Where nothing else is tried, the first is 0.
+    ``posterior`` are the log weights of the hypotheses after the measurement. The first factor is
+    against "none" or a noisy pair, the second against "none". The first factor is 0 if no other
+    hypothesis is tried.
     """
     none, noisy = posterior[0], np.array(hypotheses.by_row("effect")) == NOISE
     other = ~noisy
@@ -176,7 +177,8 @@ def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TE
 def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> float:
     """Return the ln Bayes factor of another likelihood over this one, summed over all hypotheses.
 
-    ``other`` and ``evidence`` (n,) are the log evidences of the hypotheses by either likelihood.
+    ``other`` and ``evidence`` (n,) are the log evidences of the hypotheses by the other and by this
+    likelihood.
     """
     more, less = (logsumexp(weights(each, hypotheses)) for each in (other, evidence))
     return float(more - less + (other[0] - evidence[0]) / TEMPER)
@@ -185,9 +187,10 @@ def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> floa
 def with_families(
     posterior: Array, hypotheses: PositionsHypotheses, families: Mapping[str, float]
 ) -> Array:
-    """Return weights times the probabilities of their families by means, to `MEANS_POWER`.
+    """Return log weights of the hypotheses that include the probabilities of their groups by means.
 
-    A logarithmic pool of two opinions (Genest & Zidek 1986).
+    ``families`` has the probability of each group of effects from means over positions, which is raised
+    to the power `MEANS_POWER` and multiplied (logarithmic pool, Genest & Zidek 1986).
     """
     least = [
         max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.by_row("family")
@@ -211,9 +214,10 @@ def evidence_of_means(
     cache: str | os.PathLike[str] | None = None,
     scheduler: str | None = None,
 ) -> Finding | None:
-    """Return the evidence of `rtcal.find` from the means over positions.
+    """Return the finding of `rtcal.find` from the means over positions.
 
-    None where that finder has nothing to compare: no T, or none that can be trusted.
+    None if means cannot be compared, because there is no T, or no T with a sufficiently small
+    uncertainty.
     """
     try:
         return find_by_means(of_means(case), effects, cache=cache, scheduler=scheduler)
@@ -243,10 +247,10 @@ _SPACING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """Probabilities of everything that may be other than stated; see `Finding`.
+    """Hold the probabilities of everything that may differ from the model; see `Finding`.
 
-    ``on_surfaces`` is the probability that something stands on a surface, ``unexplained`` that of
-    something that no effect explains, alone or beside an effect.
+    ``on_surfaces`` is the probability that something on a surface is missing, and ``unexplained`` that
+    of an unknown effect, alone or in combination with another effect.
     """
 
     candidates: tuple[Candidate, ...]
@@ -373,9 +377,9 @@ def find(
     progress: TaskProgress | None = None,
     scheduler: str | None = None,
 ) -> Finding:
-    """Return whether a room differs from its model, in which effect, and where; see `rtcal.find`.
+    """Return whether a room differs from its model, by which effect, and where; see `rtcal.find`.
 
-    ``only`` and ``without`` are lists of names that `tried` returns.
+    ``only`` and ``without`` are names that `tried` returns.
     """
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)

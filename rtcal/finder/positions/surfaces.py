@@ -40,11 +40,12 @@ Faces = NDArray[np.int64]
 def of_geometry(
     geometry: Polyhedron, stated: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, Faces]:
-    """Return the faces of each surface, by the surface's name, which is that of its largest face.
+    """Return the faces of each surface of a geometry, by the surface's name.
 
-    By default a surface consists of the coplanar faces of one material. ``stated`` gives the names of
-    each surface's faces instead; other faces then belong to no surface. Raises DataError for a face
-    that the geometry lacks, a face in two surfaces, or a surface without a face.
+    By default a surface consists of the coplanar faces of one material, and has the name of its largest
+    face. ``stated`` gives the names of each surface's faces instead; all other faces then belong to no
+    surface. Raises DataError for a face that the geometry lacks, a face in two surfaces, or a surface
+    without a face.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
@@ -69,9 +70,9 @@ def of_geometry(
 
 
 def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
-    """Return a note of the surfaces that hold faces of other names; "" without any.
+    """Return a note on the surfaces that have faces with different names; "" without any.
 
-    Faces that differ in their number alone are one wall's triangles.
+    Names that differ only in their number belong to triangles of one wall, and are not noted.
     """
     said = []
     for name, faces in surfaces.items():
@@ -243,12 +244,13 @@ def patched(
     name: str,
     at: Array | None = None,
 ) -> Polyhedron | None:
-    """Return the geometry with a patch on a surface; None where the surface is too small for it.
+    """Return the geometry with a patch on one of its surfaces; None if the surface is too small.
 
-    The patch is a rectangle in the proportions of the surface's bounding rectangle. It ends at the
-    surface's edge, and is larger elsewhere instead. So its area in m² is exact on a surface of any
-    outline. It lies in the plane of the largest of the surface's faces about its middle, or in the
-    plane nearest to ``at`` (3,), its middle in m. DataError if that is further than `NEAR` from it.
+    The patch is a rectangle with the proportions of the surface's bounding rectangle. It is cut off at
+    the surface's edge and enlarged elsewhere, so that its ``area`` in m² is exact on a surface of any
+    outline. It lies in the plane of the largest of the surface's ``faces``, about its middle. If ``at``
+    (3,), the middle of the patch in m, is given, it lies in the nearest plane. Raises DataError if that
+    plane is farther than `NEAR` from ``at``.
     """
     from scipy.optimize import brentq
 

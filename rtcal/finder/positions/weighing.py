@@ -91,9 +91,10 @@ _FOLLOWED = 0.9
 
 @dataclass(frozen=True)
 class Aperture:
-    """An aperture of ``area`` in m² to a second room of ``volume`` in m³ and mean ``alpha``.
+    """Describe an aperture of ``area`` in m² to a second room.
 
-    The second room has the surface of a cube.
+    The second room has a ``volume`` in m³, a mean absorption coefficient ``alpha``, and the surface
+    area of a cube.
     """
 
     area: float
@@ -114,10 +115,11 @@ class Aperture:
         n_sources: int,
         rate: Array | None = None,
     ) -> Array:
-        """Return the decays with the second room, with as many more bins as the slower one needs.
+        """Return the decays with the second room, with more bins if the second room decays more slowly.
 
-        ``energy`` (n_pairs, n_bands, n_bins) are decays with an opening in place of the aperture,
-        source by source; ``bin_width`` is in s, ``rate`` (n_bands,) is their `decay_rate` in 1/s.
+        ``energy`` (n_pairs, n_bands, n_bins) are the decays with an opening instead of the aperture,
+        for all receivers of the first source, then of the next. ``bin_width`` is in s. ``rate``
+        (n_bands,) is the `decay_rate` of these decays in 1/s; None if it must be computed.
         """
         from scipy.signal import lfilter
 
@@ -166,10 +168,10 @@ _AT_ONCE = 8
 
 @dataclass(eq=False)
 class Weighing:
-    """The paths of a tracing, weighed with one alpha per face.
+    """Compute decays from the paths of a tracing, for other coefficients of each face.
 
-    They are followed for ``seconds``, and longer where a decay is too short for ``match``; from 0 for
-    as long as the first decays need.
+    The paths are followed for ``seconds``, and longer if a decay is too short for the parameters
+    ``match``. With 0 seconds, they are followed as long as the first decays require.
     """
 
     tracer: PathTracing
@@ -204,10 +206,11 @@ class Weighing:
         stretch: float = 1.0,
         number: int = 1,
     ) -> Array:
-        """Return the decays of a ``number`` of groups of paths, (number, n_pairs, n_bands, n_bins).
+        """Return the decays of each of several groups of paths, (number, n_pairs, n_bands, n_bins).
 
-        ``alpha`` is (n_faces, n_bands), the air's ``attenuation`` (n_bands,) in 1/m, by default the
-        room's; ``stretch`` is a factor of all lengths of the room.
+        ``number`` is the number of groups. ``alpha`` (n_faces, n_bands) are the coefficients.
+        ``attenuation`` (n_bands,) is that of the air in 1/m; None means the room's. ``stretch`` is a
+        factor on all lengths of the room.
         """
         room = self.tracer.room
         # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
@@ -220,10 +223,10 @@ class Weighing:
         return self._long_enough(weighed, 1.5 if self.seconds else 2.0) / stretch**2
 
     def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
-        """Yield the decays with each group of faces changed, in one sweep of the paths for many.
+        """Yield the decays with changed coefficients, for one group of faces after the other.
 
-        Their shape is (n_shares, n_pairs, n_bands, n_bins). Alpha moves by a share of the way to 1, or
-        (below 0) to that of a hard wall.
+        The decays are (n_shares, n_pairs, n_bands, n_bins). ``shares`` are the changes of alpha, as
+        shares of the way to 1 or, below 0, to the alpha of a hard wall.
         """
         room, alpha = self.tracer.room, self.alpha
         ways = {True: 1 - alpha, False: np.maximum(alpha - HARD, 0.0)}
@@ -275,9 +278,10 @@ search ended in an error."""
 def displaced(
     case: PositionsCase, match: Sequence[str], base: Array, seed: int
 ) -> dict[str, Array]:
-    """Return the shifts where each source or receiver is displaced by `MOVE`, by its name.
+    """Return how the values change if a source or receiver is displaced by `MOVE`, by its name.
 
-    (n_parameters, n_pairs, n_bands, n_displacements) each; ``base`` is what is simulated as stated.
+    Each array is (n_parameters, n_pairs, n_bands, n_displacements). ``base`` are the values with the
+    input positions, and ``match`` the parameters.
     """
     tracer, geometry = case.simulator, case.geometry
     steps = np.array([sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)])
@@ -334,9 +338,10 @@ OPEN = tuple(share for share in SHARES if share > 0)
 
 
 def interpolation(nodes: Sequence[float], at: Array) -> Array:
-    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
+    """Return the weights (..., n_nodes) of nodes in a linear interpolation that is 0 at 0.
 
-    Beyond the nodes the value at the last one is taken.
+    ``at`` (...) are the places of the interpolated values. Beyond the last node on either side, the
+    result is the value at that node.
     """
     every = np.array(sorted([*nodes, 0.0]))
     alone = np.eye(len(every))[np.searchsorted(every, nodes)]
@@ -520,10 +525,10 @@ def _mean(tracings: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
 
 
 def without_noise(shifts: Array) -> Array:
-    """Return the mean of shifts of tracings, their differences between pairs drawn to their mean.
+    """Return the mean of changes over tracings, with less noise in the differences between pairs.
 
-    They are drawn as far as they are noise, by parameter. ``shifts`` (n_tracings, ..., n_parameters,
-    n_pairs, n_bands, n_nodes).
+    The differences of each parameter between pairs are reduced by their share of noise. ``shifts``
+    (n_tracings, ..., n_parameters, n_pairs, n_bands, n_nodes) are the changes of the values.
     """
     mean = shifts.mean(axis=0)
     common = mean.mean(axis=-3, keepdims=True)
@@ -676,11 +681,11 @@ def with_index(tracer: PathTracing) -> dict[str, Directivity]:
 
 
 def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
-    """Return possible directivities: all sources aimed at the receivers' middle, or along an axis.
+    """Return possible directivities: all sources aim at the receivers' middle, or along an axis.
 
-    Sources of which nothing is stated have `LOBE_INDEX`. Those of which an index is stated aim as
-    stated, and have one that is larger: together by `INDEX_ERROR`, each for itself by
-    `OWN_INDEX_ERROR`. All others are as stated.
+    A source without an input directivity has the index `LOBE_INDEX`. A source with an input index above
+    0 aims as given and has a larger index: by `INDEX_ERROR` for all sources, or by `OWN_INDEX_ERROR`
+    for a single source. All other sources are as given.
     """
     middle = tracer.to_receivers.mean(axis=1)
     # A source in the middle of its receivers aims at none of them.
