@@ -95,9 +95,7 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
 
 
 def hertz(frequencies: Sequence[float] | Array) -> str:
-    """Return the frequencies of bands as words of a sentence; "" if there is no band.
-
-    ``frequencies`` are centre frequencies in Hz.
+    """Return centre frequencies in Hz as words of a sentence; "" if there is none.
 
     Examples
     --------
@@ -133,9 +131,7 @@ def labels(frequencies: Iterable[float]) -> list[str]:
 
 
 def span(frequencies: Sequence[float] | Array) -> str:
-    """Return the number of bands, and the first and the last of them, as words of a sentence.
-
-    ``frequencies`` are centre frequencies in Hz.
+    """Return the number of bands, and the first and the last of them in Hz, as words of a sentence.
 
     Examples
     --------
@@ -234,8 +230,6 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
 
 def index(frequencies: Array, frequency: float) -> int | None:
     """Return the number of the band, from 0, that is within 1.5 % of a frequency in Hz, else None.
-
-    ``frequencies`` (n_bands,) are the bands' centre frequencies in Hz.
 
     Examples
     --------
@@ -414,9 +408,7 @@ def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
-    """Return the bands in Hz that have values but are not used for any ``wanted`` band.
-
-    ``frequencies`` are the bands in Hz that have values.
+    """Return the bands in Hz of ``frequencies`` that are not used to convert to any ``wanted`` band.
 
     Examples
     --------

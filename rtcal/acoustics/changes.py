@@ -542,23 +542,13 @@ def placed(
 ) -> Placed:
     """Return the room after changes, with the area of each material by the direction that it faces.
 
-    A covering faces the same way as the surface below it. If a part of a material that faces several
-    directions is covered, each direction loses the same share. Raises DataError for the reasons of
-    `changed`.
-
-    Parameters
-    ----------
-    before : Room
-        Room before the changes.
-    changes : sequence of Change, or Room
-        Changes in the given order, or the changed room itself.
-    like : Placed, optional
-        Another state of the room, for directions that the room does not give. Materials of both states
-        face the same way in both. New material faces the way of the material that it replaces, and is
-        free-standing if it replaces none.
-    shares : array (n_materials, 3), optional
-        Shares of each material's area that face x, y and z before the changes; by default those that
-        `facing` returns.
+    ``changes`` are changes of the room ``before`` in the given order, or the changed room itself.
+    ``shares`` (n_materials, 3) are the shares of each material's area that face x, y and z before the
+    changes, by default those of `facing`. A covering faces the same way as the surface below it. If a
+    part of a material that faces several directions is covered, each direction loses the same share.
+    ``like`` is another state of the room, for directions that this room does not give: materials of
+    both states face the same way in both, and new material faces the way of the material that it
+    replaces, or is free-standing if it replaces none. Raises DataError for the reasons of `changed`.
     """
     shares = facing(before) if shares is None else shares
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
@@ -631,10 +621,7 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
 
 
 def new_name(taken: Iterable[str], wanted: str) -> str:
-    """Return a name that does not look like any of those taken: the wanted name, or one with a number.
-
-    ``taken`` are the names that exist already, and ``wanted`` is the name that is returned if it is
-    free.
+    """Return the wanted name, followed by a number if it looks the same as one of the names taken.
 
     Examples
     --------

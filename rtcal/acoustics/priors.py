@@ -109,8 +109,9 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
 class SigmaRule:
     """Rule for the standard deviation sigma of coefficients of materials that state none.
 
-    sigma = in_situ_factor * max(relative * alpha, minimum). With ``iso_12999_2`` the maximum is also
-    over sigma_R of ISO 12999-2. The factor allows for another specimen, mounting, age or paint.
+    sigma = in_situ_factor * max(relative * alpha, minimum). If ``iso_12999_2`` is True, the maximum
+    also includes sigma_R of ISO 12999-2. The factor allows for another specimen, mounting, age or paint
+    than that of the stated coefficients.
 
     Raises
     ------
@@ -141,7 +142,8 @@ class SigmaRule:
     def sigma(self, alpha: Array, centre_frequencies: Array) -> Array:
         """Return the standard deviation of each coefficient by this rule, (n_bands,).
 
-        Raises DataError for a coefficient that is not from 0 to 2.
+        ``alpha`` (n_bands,) are the coefficients, ``centre_frequencies`` (n_bands,) are in Hz. Raises
+        DataError for a coefficient that is not from 0 to 2.
         """
         sigma = np.maximum(self.relative * _coefficients(alpha), self.minimum)
         if self.iso_12999_2:

@@ -596,9 +596,9 @@ def with_patches(
 ) -> list[Surface]:
     """Return surfaces of which parts have other materials, such as a window in a wall.
 
-    Each patch is (surface, material, area in m²). Its area is taken from its surface, and its name
-    contains the surface's (`lying_on`). Raises DataError for an unknown surface, and for patches that
-    are larger than their surface.
+    Each patch is (name of the surface, material, area in m²). The area of a patch is taken from its
+    surface, and the name of a patch contains that of its surface, so that `lying_on` finds it. Raises
+    DataError for an unknown surface, and if the patches are larger than their surface.
 
     Examples
     --------
@@ -624,9 +624,10 @@ def with_patches(
 
 
 def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, float]:
-    """Return the area of a material in m² by the material that it lies on; None for a separate surface.
+    """Return the area of a material in m² on each material below it; None is the key of bare surfaces.
 
-    A surface "floor: audience" lies on the surface "floor", as `with_patches` names it.
+    A surface that is named "floor: audience" lies on the surface "floor", as `with_patches` names it.
+    The part of the material's area that lies on no other surface has the key None.
 
     Examples
     --------
@@ -654,10 +655,10 @@ _SAME = 1e-4
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """Record in a calibrated room of its calibration, or of the archive that its coefficients are from.
+    """Record of the calibration of a room, or of the archive that its coefficients are from.
 
-    ``measured`` identifies, per band, each T that was used. A second calibration to the same T raises
-    an error, because T would count twice.
+    ``measured`` identifies, per band, each T that was used. A second calibration of the room to the
+    same T raises an error, because T would count twice.
     """
 
     method: str
@@ -1128,15 +1129,17 @@ class Room:
     def with_air(self, air: Air | None) -> Room:
         """Return the room with other air, to predict T there with the same coefficients.
 
-        Without air, the room has no uncertainty of the climate either.
+        With ``air`` None, the air absorbs nothing, and the room has no uncertainty of the climate
+        either.
         """
         sigma = (0.0, 0.0) if air is None else self.climate_sigma
         return self.replace(air=air, climate_sigma=sigma)
 
     def in_bands(self, wanted: Iterable[float]) -> Room:
-        """Return the room with its coefficients converted to other bands, given in Hz.
+        """Return the room with its coefficients converted to other bands, octaves or third-octaves.
 
-        Raises DataError if an octave lacks one of its thirds, or a third its octave.
+        ``wanted`` are their centre frequencies in Hz. Raises DataError if the room lacks a third-octave
+        of a wanted octave, or the octave of a wanted third-octave.
         """
         conversion = bands.Conversion(self.centre_frequencies, wanted)
         tables = {n: getattr(self, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
@@ -1149,9 +1152,9 @@ class Room:
         return f'{name}["{self.materials[material]}", {frequency}]'
 
     def material_index(self, name: str, place: str = "") -> int:
-        """Return the row number of a material by its name.
+        """Return the row of a material in the room's arrays, counted from 0, by its name.
 
-        Raises DataError for another name; its message begins with ``place``.
+        Raises DataError if the room has no material of this name; the message begins with ``place``.
         """
         if name not in self.materials:
             known = ", ".join(self.materials)
@@ -1177,8 +1180,8 @@ class Room:
     def with_rows(self, rows: Sequence[Material], **changes: Any) -> Room:
         """Return the room with other materials, each with its area.
 
-        ``changes`` are further fields that change, as in `replace`. The room keeps scattering
-        coefficients only if all materials have them.
+        ``rows`` are the materials. ``changes`` are other fields of the room to change, as in `replace`.
+        The room keeps scattering coefficients only if all materials have them.
 
         Examples
         --------
@@ -1241,10 +1244,11 @@ class Room:
     ) -> Room:
         """Return a room from its materials and single surfaces, whose areas are summed per material.
 
-        A material without surfaces must state its area; one with neither is left out. ``objects`` are
-        pieces such as persons. ``prior`` gives the sigma of materials that state none, and ``stated``
-        are the room's other fields. Raises DataError as `Room`, for a surface with an unknown material,
-        for a material with both surfaces and an area, and for a field that is missing or unknown.
+        A material without surfaces must state its area; a material with neither is left out.
+        ``objects`` are pieces such as persons. ``prior`` is the rule for sigma of materials that state
+        none; with None each material must state sigma. ``stated`` are the other fields of `Room`.
+        Raises DataError for the reasons of `Room`, for a surface with an unknown material, for a
+        material with both surfaces and an area, and for a field that is missing or unknown.
         """
         frequencies = bands.as_bands(centre_frequencies)
         drawn = [*checks.listed("surfaces", surfaces)]
@@ -1308,8 +1312,9 @@ class Room:
     ) -> Room:
         """Return a room with the volume and the surfaces of a `rtcal.simulators.Polyhedron`.
 
-        ``patches`` are parts of surfaces with other materials (`with_patches`), ``stated`` the other
-        arguments of `from_surfaces`. Raises DataError as these two.
+        ``patches`` are parts of surfaces with other materials, each as (name of the surface, material,
+        area in m²). ``stated`` are the other arguments of `from_surfaces`. Raises DataError for the
+        reasons of `with_patches` and `from_surfaces`.
         """
         if not (hasattr(geometry, "volume") and hasattr(geometry, "surfaces")):
             raise DataError(
@@ -1322,7 +1327,7 @@ class Room:
     def to_dict(self) -> dict[str, Any]:
         """Return the room as plain values of the tables of its file, without empty tables.
 
-        Coefficients that were set to 1 are 1 there.
+        Coefficients above 1 that the room set to 1 are 1 in these tables.
         """
         covered = {surface.material for surface in self.surfaces}
         rows = [
@@ -1369,8 +1374,8 @@ class Room:
     def from_dict(cls, data: Mapping[str, Any], place: str = "") -> Room:
         """Return a room from plain values of the tables of a file, as `to_dict` returns them.
 
-        Raises DataError, which names ``place``, for an unknown key, for a value of a wrong type, and as
-        `Room`.
+        ``place`` is the name of the file in error messages. Raises DataError for an unknown key, for a
+        value of a wrong type, and for the reasons of `Room`.
         """
         if isinstance(data, Mapping) and data and {*data} <= {*SceneTables.__struct_fields__}:
             raise DataError(
@@ -1429,7 +1434,7 @@ class Room:
     def to_text(self, folder: str | os.PathLike[str] | None = None) -> str:
         """Return the room as the text of a TOML file, from which the same numbers are read.
 
-        Paths of the scene are relative to ``folder``, if it is given.
+        Paths of the mesh and of balloons are written relative to ``folder``; with None as they are.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
         return toml_text(room.to_dict())
@@ -1444,9 +1449,10 @@ def of_materials(
 ) -> dict[str, Any]:
     """Return the arguments of `Room` that follow from materials, such as its names and coefficients.
 
-    ``prior`` gives the sigma of materials that state none. Scattering coefficients are returned only if
-    all materials have them. Raises DataError, which names the material, for a wrong number of values,
-    and for a missing sigma.
+    ``frequencies`` (n_bands,) are the room's bands in Hz. ``prior`` is the rule for sigma of materials
+    that state none; with None each must state sigma. Scattering coefficients are returned only if all
+    materials have them. Raises DataError, which names the material, for a wrong number of values, and
+    for a missing sigma.
     """
 
     def row(material: Material, name: str) -> Array:
@@ -1483,10 +1489,11 @@ def of_materials(
 
 
 def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
-    """Return the values of a mapping by material in the order of ``materials``; other values unchanged.
+    """Return the values of a mapping by material in the order of ``materials``.
 
-    Raises DataError for other keys, and for a table with labels, such as a pandas one, whose rows may
-    have another order.
+    A ``value`` that is no mapping is returned unchanged. ``place`` is its name in error messages.
+    Raises DataError if the keys are not those materials, and for a table with labels, such as a pandas
+    one, whose rows may have another order.
     """
     if hasattr(value, "to_numpy"):
         raise DataError(
@@ -1519,7 +1526,10 @@ def above_one_hint(alpha: float) -> str:
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
-    """Return the text by which a room's record identifies measured data: their values without NaN.
+    """Return the text by which a room's record identifies measured data of one quantity.
+
+    ``kind`` is the name of the quantity, and ``values`` has its measured values by band or position.
+    The text contains the name and all values but NaN.
 
     Examples
     --------
@@ -1549,8 +1559,8 @@ def is_calibrated(room: Room) -> bool:
 def times_of(room: Room) -> Array:
     """Return T in s to which a room was calibrated, (n_bands,), from its record; NaN where unknown.
 
-    T is unknown if the record has several T, as from several configurations, and if the room was
-    changed after the calibration.
+    T is unknown if the record has several T, such as those of several configurations, or if the room
+    was changed after the calibration.
     """
     record = room.calibration
     every = [] if record is None or record.method == CHANGED else record.measured.split()
@@ -1589,8 +1599,8 @@ def _shared(one: str, other: str) -> list[str]:
 def refuse_repeated_data(room: Room, *names: str) -> None:
     """Raise DataError if the room was already calibrated to some of these data.
 
-    Each argument has one or more texts of `fingerprint`, separated by blanks. The message names the
-    values that would count twice.
+    Each of ``names`` is one or more texts of `fingerprint`, separated by blanks. The error's message
+    has the values that would count twice.
     """
     before = [] if room.calibration is None else room.calibration.measured.split()
     anew = [one for name in names for one in name.split()]

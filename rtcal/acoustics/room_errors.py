@@ -119,9 +119,11 @@ def common_error_columns(
 ) -> tuple[Array, Array]:
     """Return the changes of coefficients by one standard deviation of each error of their tables.
 
-    The first array has the factor and the slope over frequency that all materials have in common, the
-    second those of each material; each is (2, n_materials, n_bands). ``alpha`` and ``sigma`` have the
-    shape (n_materials, n_bands), ``frequencies`` (n_bands,) are in Hz.
+    The first array has the changes by a factor and by a slope over frequency that all materials have in
+    common; the second those by a factor and a slope of each material alone. Each is (2, n_materials,
+    n_bands). ``alpha`` and ``sigma`` (n_materials, n_bands) are the coefficients and their standard
+    deviations, ``frequencies`` (n_bands,) are in Hz. Where sigma is smaller than a handbook's, the
+    errors fall with this ratio to the ``power``.
 
     Examples
     --------
@@ -141,7 +143,9 @@ def common_error_columns(
 def of_absorption(areas: Array, alpha: Array, sigma: Array, frequencies: Array) -> Array:
     """Return the changes of the absorption area by one standard deviation of each error of the tables.
 
-    They are in m², of shape (n_errors, n_bands), for the errors of `common_error_columns`.
+    The changes are in m², (n_errors, n_bands), and the errors are those of `common_error_columns`.
+    ``areas`` (n_materials,) are in m², ``alpha`` and ``sigma`` (n_materials, n_bands) are the
+    coefficients and their standard deviations, ``frequencies`` (n_bands,) are in Hz.
     """
     both, own = common_error_columns(alpha, sigma, frequencies)
     each = areas[:, np.newaxis] * own
@@ -175,8 +179,9 @@ def in_words(room: Room) -> str:
 def alpha_covariance(mean: Array, sigma: Array, correlation: Array, common: float) -> Array:
     """Return the covariance of coefficients, (..., n, n): sigma R sigma + t² mu mu'.
 
-    mu is their ``mean`` and R their ``correlation`` (n, n). t is ``common``, the relative standard
-    deviation that all coefficients have in common. A coefficient with sigma = 0 is exact.
+    mu is their ``mean`` (..., n), sigma (..., n) their standard deviation and R their ``correlation``
+    (n, n). t is ``common``, the relative standard deviation that all coefficients have in common. A
+    coefficient with sigma = 0 is exact.
     """
     together = np.where(sigma > 0, common * mean, 0.0)
     own = sigma[..., np.newaxis] * correlation * sigma[..., np.newaxis, :]
@@ -213,17 +218,17 @@ def prior_covariance(room: Room) -> Array:
 def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
     """Return the changes of b - S'alpha in m² by one standard deviation of each error of the room.
 
-    b is the absorption area that the measured T needs, and S'alpha that of the coefficients. The
-    changes (n_changes, n_bands) are in this order: volume, common error of the areas, area of each
-    material, temperature, humidity. With b = S E^-1(a) and the exponent a = (k V / T - 4 m V) / S, for
-    the stated room and the measured T,
+    b is the absorption area that the measured T needs, and S'alpha that of the coefficients. ``t``
+    (n_bands,) is the measured T in s. The changes (n_changes, n_bands) are in this order: volume,
+    common error of the areas, area of each material, temperature, humidity. In a band without T, or
+    with a T that no absorption gives, they are 0. With b = S E^-1(a) and the exponent a = (k V / T - 4
+    m V) / S, for the stated room and the measured T,
 
         V db/dV = S a / E',  db/dS = b / S - a / E',  d(S'alpha)/dS_i = mu_i.
 
     In Sabine's equation E' = 1 and db/dS = 0, so that only the products of two errors are neglected:
-    (alpha - mu) times the error of an area. In Eyring's and Kuttruff's, b is linearised as well: the
-    climate changes it by S / E' times its change of a.
-    Bands without T, or whose T no absorption gives, have 0. ``t`` is the measured T in s, (n_bands,).
+    (alpha - mu) times the error of an area. In Eyring's and Kuttruff's equations b is linearised as
+    well: the climate changes b by S / E' times the change of a.
     """
     t = np.asarray(t, dtype=float)
     total = room.total_area
@@ -251,8 +256,9 @@ def alike_alpha(room: Room) -> Array:
     """Return changes of coefficients with the same effect as one standard deviation of each room error.
 
     Their shape is (n_changes, n_materials, n_bands), in the order of `target_changes`. A larger area
-    acts as coefficients larger by the same ratio, a larger volume as smaller coefficients, and a change
-    of the air's attenuation m as a change of 4 m V / S on every surface.
+    has the effect of coefficients larger by the same ratio, a larger volume that of smaller
+    coefficients, and a change of the air's attenuation m that of a change by 4 m V / S on every
+    surface.
     """
     of_air = 4 * room.volume / room.total_area * np.ones((room.n_materials, 1))
     own = np.eye(room.n_materials)[:, :, np.newaxis] * room.area_sigma[:, np.newaxis, np.newaxis]
@@ -268,9 +274,10 @@ def alike_alpha(room: Room) -> Array:
 def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
     """Return the changes of values at positions by one standard deviation of each room error.
 
-    Their shape is (n_changes, n_values). ``matrix`` (n_values, n_materials * n_bands) are the
-    derivatives by the coefficients, which `alike_alpha` changes. The volume does not change levels
-    (``of_level``).
+    Their shape is (n_changes, n_values). ``matrix`` (n_values, n_materials * n_bands) has the
+    derivatives of the values by the coefficients, because each room error acts as the change of
+    coefficients that `alike_alpha` returns. ``of_level`` (n_values,) is True for levels, which an error
+    of the volume does not change.
     """
     alike = alike_alpha(room)
     changes = alike.reshape(len(alike), -1) @ matrix.T
@@ -279,9 +286,10 @@ def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Arr
 
 
 def of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:
-    """Return the changes of a quantity by one standard deviation of temperature, and of humidity.
+    """Return the changes of a quantity by one standard deviation of the air's temperature and humidity.
 
-    Each is (n_bands,): half the difference of the values one standard deviation above and below.
+    ``quantity`` is a function of a room that returns its value per band. Each of the two changes is
+    (n_bands,): half the difference of the values one standard deviation above and below the room's.
     """
     air, (kelvin, percent) = room.air, room.climate_sigma
     none = np.zeros(room.n_bands)

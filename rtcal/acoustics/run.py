@@ -99,7 +99,7 @@ class Run:
             raise DataError(f"{of} {own.air or 'no air'}; it must have {room.air or 'no air'}")
 
     def nothing_common(self, measured: Measurement, what: str = "value") -> DataError:
-        """Return a DataError which says that run and measurement have nothing in common.
+        """Return a DataError which states that run and measurement have no value in common.
 
         ``what`` is the name of the missing quantity in the message, such as "T20 or T30".
         """
@@ -113,8 +113,9 @@ class Run:
         """Return the values that both run and measurement have, in the room's bands.
 
         T20 is compared only with T20, and T30 with T30. If some source-receiver pairs are in both, only
-        these pairs are returned, and a value that one side lacks is NaN in both, so that means are over
-        the same values. Otherwise both keep their pairs or means, and only the means can be compared.
+        these pairs are returned, and a value that is missing on one side is NaN on both, so that means
+        are over the same values. Otherwise both keep their pairs or means, and only the means can be
+        compared.
 
         Parameters
         ----------

@@ -479,33 +479,17 @@ def fit(
 
     Each step linearises the model at the present coefficients and solves the calibration. A step that
     raises the objective is halved, up to six times. If ``start`` keeps the bounds and constraints, the
-    objective at the end is at most that at the start. Raises InfeasibleError and SolverError for the
-    reasons that `CalibrationProblem.solve` names.
+    objective at the end is at most that at the start.
 
-    Parameters
-    ----------
-    problem : CalibrationProblem
-        Calibration that was built with ``term``.
-    data : Observation
-        Measured values, with their covariance and the model that predicts them.
-    start : array (n_materials, n_bands)
-        Coefficients before the first step.
-    term : LinearObservations
-        Term of the problem that stands for the data.
-    method : str
-        Name of the method in the result.
-    times : Measurement, or T in s, (n_bands,), optional
-        Measured T for the problem's other terms; None if these use no T.
-    most : int
-        Largest number of steps.
-    covariance : array (n, n), optional
-        Covariance that replaces the data's in each calibration, but not in the objective; by default
-        that of the data.
-    allowed : function of the coefficients (n_materials, n_bands)
-        Whether the fit may end at these coefficients; by default at any.
-    settled : function of a step and the coefficients after it, optional
-        Whether this step is the last. By default a step is the last if no coefficient changes by more
-        than `SETTLED` of its prior sigma.
+    ``data`` are the measured values with their covariance and the model. ``problem`` is a calibration
+    built with the ``term`` that stands for the data. ``start`` (n_materials, n_bands) are the
+    coefficients before the first step, and ``most`` is the largest number of steps. ``times`` is the
+    measured T for the problem's other terms, None if these use no T. ``method`` is the name of the
+    method in the result. ``covariance`` (n, n) replaces that of the data in each calibration, but not
+    in the objective; None if it does not. ``allowed`` returns whether the fit may end at given
+    coefficients. ``settled`` returns whether a step, given with the coefficients after it, is the last;
+    by default a step is the last if no coefficient changes by more than `SETTLED` of its prior sigma.
+    Raises InfeasibleError and SolverError for the reasons of `CalibrationProblem.solve`.
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance

@@ -828,26 +828,12 @@ class CalibrationResult(Result):
         """Return T after a change of this room, with its uncertainty.
 
         T after the change is the calibrated T times the ratio of T after to T before the change. The
-        ratio is that of the equation, or of a simulation program if ``run`` and ``run_after`` are
-        given.
-
-        Parameters
-        ----------
-        changes : Change, sequence of Change, or Room
-            Changes in the given order, or the changed room itself.
-        name : str
-            Name of the variant in the output.
-        assumptions : Assumptions, optional
-            Uncertainties that the prediction assumes; those of `rtcal.Assumptions` by default.
-        run : Run, optional
-            Results of a simulation program for this room before the change.
-        run_after : Measurement, optional
-            Results of the same program after the change.
-
-        Raises
-        ------
-        ModelError
-            For the reasons that `known` names. `rtcal.prediction.predict` names the other errors.
+        ratio is that of the equation, or of a simulation program if ``run``, its results before the
+        change, and ``run_after``, those after the change, are given. ``changes`` are changes in the
+        given order, or the changed room itself. ``name`` is that of the variant in the output.
+        ``assumptions`` are the uncertainties that the prediction assumes; None for those of
+        `rtcal.Assumptions`. Raises ModelError for the reasons of `known`, and the errors of
+        `rtcal.prediction.predict`.
         """
         return predict(
             self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after

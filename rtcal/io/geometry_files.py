@@ -29,8 +29,9 @@ __dir__ = __all__.copy
 def read(room: Room) -> Polyhedron:
     """Return the geometry of a room: its mesh, or a box with the room's dimensions.
 
-    A box needs one surface per wall. Raises DataError as `rtcal.io.obj.read` does, for a mesh with a
-    material that the room lacks, and for a room with neither a mesh nor dimensions.
+    For a box the room needs one surface per wall. Raises DataError for the reasons of
+    `rtcal.io.obj.read`, for a mesh with a material that the room lacks, and for a room with neither a
+    mesh nor dimensions.
     """
     checks.instance("room", room, Room)
     if room.scene.mesh is not None:
@@ -52,8 +53,9 @@ def read(room: Room) -> Polyhedron:
 def directions(room: Room) -> Array:
     """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
 
-    They are those that the room states (`rtcal.acoustics.changes.facing`), and those of its mesh where
-    it leaves one open. A mesh that cannot be read gives none.
+    The shares are those of the faces of the room's mesh. For materials without a face, and without a
+    mesh that can be read, they follow from the room's surfaces, names and dimensions
+    (`rtcal.acoustics.changes.facing`).
     """
     stated = facing(room)
     if room.scene.mesh is None or np.isfinite(stated).all():
@@ -68,8 +70,9 @@ def directions(room: Room) -> Array:
 def mesh_doubt(room: Room) -> str:
     """Return in a sentence how a room's areas or volume differ from those of its mesh, or "".
 
-    The sentence also says if the mesh cannot be read. Without a mesh it is "". Raises DataError as
-    `rtcal.simulators.path_tracing.refuse_other_unit` does.
+    The sentence is "" if they agree and if the room has no mesh. If the mesh cannot be read, the
+    sentence says so. Raises DataError if the room's volume or an area is that of the mesh in another
+    unit.
     """
     if checks.instance("room", room, Room).scene.mesh is None:
         return ""
@@ -86,9 +89,9 @@ def mesh_doubt(room: Room) -> str:
 def path_tracing(room: Room, **options: Any) -> PathTracing:
     """Return a path tracing of a room whose file has its geometry, sources and receivers.
 
-    ``options`` are arguments of `PathTracing`. Files with the directivity of sources are read. Raises
-    DataError as `read`, `rtcal.io.balloon.read` and `PathTracing` do, and for a room without sources
-    and receivers.
+    ``options`` are further arguments of `PathTracing`. Files with the directivity of sources are read.
+    Raises DataError for a room without sources and receivers, and for the reasons of `read`,
+    `rtcal.io.balloon.read` and `PathTracing`.
 
     Examples
     --------

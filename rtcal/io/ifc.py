@@ -56,11 +56,12 @@ class _Boundary:
 def faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
     """Return the faces of one space of a building model, with the materials that bound it.
 
-    ``space`` is the name of the space, its long name or both; it may be None if there is one space. An
-    outline whose ends are within ``weld`` (m) of each other is closed, which a note says.
+    ``path`` is that of the IFC file. ``unit`` must be None, because the file has its unit. ``space`` is
+    the name of the space, its long name or both; None if the model has one space. An outline whose ends
+    are within ``weld`` in m of each other is closed, and a note then says so.
 
-    Raises DataError for a file that cannot be read, a model without spaces, an outline that crosses
-    itself, and an unknown space; the message then lists those of the model. Raises
+    Raises DataError for a file that cannot be read, a given unit, a model without spaces, an outline
+    that crosses itself, and an unknown space; the message then lists the spaces of the model. Raises
     MissingDependencyError if ifcopenshell is not installed.
     """
     ifcopenshell = library(

@@ -134,9 +134,10 @@ def responses_of(
     repeats: bool,
     doubts: list[str],
 ) -> dict[tuple[str, str], Response]:
-    """Return the responses in files by source and receiver, as `read` names them; raises as `read`.
+    """Return the impulse responses in files by source and receiver, whose names are as in `read`.
 
-    Cautions about the files are added to the list ``doubts``.
+    ``path``, ``channels``, ``repeats`` and the errors are those of `read`. Cautions about the files are
+    added to the list ``doubts``.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
@@ -163,7 +164,7 @@ def responses_of(
 
 
 class Floor(Enum):
-    """List what may end the level range of a decay, as sentences with a place for the range in dB."""
+    """List the reasons that limit a decay's level range, as sentences with a place for it in dB."""
 
     NOISE = "The ratio is {} dB."
     CUT = "The ratio is {} dB at the end of the response, which is cut off before the noise."
@@ -183,9 +184,10 @@ class Floor(Enum):
 class Analysis:
     """Hold the parameters of impulse responses, with reasons for missing values and cautions.
 
-    ``measurement`` has the values. ``impulse_to_noise_ratio`` is in dB, (n_pairs, n_bands), for repeats
-    the smallest. ``floors``, of the same shape, are what ends the level range of each decay, such as
-    noise. ``minimum_range`` is the ratio in dB that each parameter needed.
+    ``measurement`` has the values. ``impulse_to_noise_ratio`` (n_pairs, n_bands) is in dB, for repeats
+    the smallest. ``floors`` (n_pairs, n_bands) are the reasons that limit the level range of each
+    decay, such as noise. ``minimum_range`` is the impulse-to-noise ratio in dB that each parameter
+    needs.
     """
 
     measurement: Measurement
@@ -240,8 +242,8 @@ class Analysis:
 def with_uncertainty(measurement: Measurement) -> Measurement:
     """Return the measurement with a standard uncertainty for each value, from theory and round robins.
 
-    Each value has the uncertainty of one noise-like response (`Observable.scatter`). All pairs of a
-    band have in common the reproducibility between measuring teams (Bork 2005).
+    Each value has the uncertainty of one noise-like response (`Observable.scatter`). In addition all
+    pairs of a band have in common the standard deviation between measuring teams (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
     times = measurement.reverberation_time
@@ -284,9 +286,10 @@ def _opened(path: str) -> Iterator[Any]:
 
 
 class Response(NamedTuple):
-    """Hold a response at a ``place``; ``load`` returns its samples, (n_samples,), and their rate in Hz.
+    """Hold an impulse response that is loaded only when it is needed, to save memory.
 
-    It is loaded only when it is needed, so that one response at a time is in memory.
+    ``place`` is its name in messages. ``load`` is a function that returns its samples (n_samples,).
+    ``sampling_rate`` is in Hz.
     """
 
     place: str
@@ -465,9 +468,11 @@ def assembled(
     needed: Mapping[str, float],
     notes: list[str],
 ) -> Analysis:
-    """Return the parameters ``needed`` of pairs, of which repeats are averaged, with further notes.
+    """Return the analysis of all pairs, from the parameters of each response in each band.
 
-    ``found`` (n_pairs, n_bands) are those of each.
+    ``pairs`` are the (source, receiver) of the responses; repeats are averaged. ``found`` (n_pairs,
+    n_bands) has the parameters of each, and ``centres`` (n_bands,) are the bands in Hz. ``needed`` has
+    the impulse-to-noise ratio in dB that each parameter needs. Further notes are added to ``notes``.
     """
     fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
     values = {
@@ -571,10 +576,11 @@ def _prepared(response: Response) -> tuple[Array, int, float, int]:
 
 
 def clipped_samples(time: Array) -> int:
-    """Return the number of clipped samples, 0 unless there are `LEAST_CLIPPED`.
+    """Return the number of clipped samples of a response (n_samples,); 0 below `LEAST_CLIPPED`.
 
-    They are exactly at the largest positive or negative value. A smooth maximum that rounding has
-    flattened is not counted: its neighbours are a few of the file's steps lower.
+    A sample is clipped if it is exactly at the largest positive or negative value. A smooth maximum
+    that rounding has flattened does not count, because the samples beside it are only a few of the
+    file's steps lower.
     """
     steps = np.abs(np.diff(time))
     if not steps.any():
@@ -602,8 +608,8 @@ class OfEnergy(NamedTuple):
     """Hold the parameters of one squared response.
 
     ``values`` are the parameters for which the level range is large enough, by name. ``ratio`` is the
-    impulse-to-noise ratio in dB, -inf without a decay of 10 dB. ``floor`` is what ends the level range.
-    ``late`` is True if the energy arrives later than in a decay.
+    impulse-to-noise ratio in dB, -inf if the response decays by less than 10 dB. ``floor`` is the
+    reason that limits the level range. ``late`` is True if the energy arrives later than in a decay.
     """
 
     values: dict[str, float]
@@ -639,9 +645,10 @@ def of_energy(
 ) -> OfEnergy:
     """Return the parameters of one squared response, (n_samples,), that begins with the direct sound.
 
-    The response is that of all frequencies or of a band, with the sampling ``rate`` in Hz. ``needed``
-    are impulse-to-noise ratios in dB by parameter. ``early`` is the energy that the band's filter has
-    moved to ``early_samples`` before the direct sound; it counts as early sound.
+    ``rate`` is the sampling rate in Hz. ``needed`` has the impulse-to-noise ratio in dB that each
+    parameter needs. ``centre`` and ``bandwidth`` are those of the band in Hz, None for all frequencies.
+    ``early`` is the energy that the band's filter has moved to the ``early_samples`` samples before the
+    direct sound; it counts as early sound.
     """
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):

@@ -49,9 +49,11 @@ def _is_of_rew(content: bytes) -> bool:
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
-    """Return the tables of such a text, one per measurement; DataError names the file and the line.
+    """Return the tables of an instrument's text, one per measurement.
 
-    If a text of REW has octaves and third-octaves, select one by ``where={"BW (octaves)": "1/3"}``.
+    ``content`` is that of the file and ``path`` its name in messages. If a text of REW has octaves and
+    third-octaves, select one by ``where={"BW (octaves)": "1/3"}``. Raises DataError, which names the
+    file and the line.
     """
     text = decode(content, path)
     if _AURORA in content[:200]:

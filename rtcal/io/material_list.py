@@ -89,12 +89,13 @@ Token = tuple[str, int, int]
 class ListedMaterial:
     """Hold one material of a program's material list.
 
-    ``line`` is its line in the file, from 1. ``alpha`` and ``scattering`` are coefficients from 0 to 1,
-    (n_bands,), in bands of ``centre_frequencies`` in Hz. ``spans`` and ``scattering_spans`` are the
-    positions of these numbers in the text. ``unit`` is the factor from the file's number (0.01 for
-    percent). ``decimals`` is the number of decimals to write, None for all digits. ``scattering_place``
-    is the position for scattering that the file does not have yet. ``source`` is the origin of the
-    coefficients, if it is not the list. ``doubt`` is a reason not to use them as they are.
+    ``line`` is its line in the file, from 1. ``alpha`` and ``scattering`` (n_bands,) are coefficients
+    from 0 to 1, in the bands ``centre_frequencies`` in Hz; ``spans`` and ``scattering_spans`` are the
+    positions of their numbers in the file's text. ``unit`` is the factor from a number in the file to
+    the coefficient, 0.01 for percent. ``decimals`` is the number of decimals to write, None for all.
+    ``scattering_place`` is the position in the text for scattering that the file does not have yet.
+    ``source`` is the origin of the coefficients, "" for the list itself. ``doubt`` is a reason not to
+    use the coefficients, "" without one.
     """
 
     name: str
@@ -168,9 +169,9 @@ class ListedMaterial:
 class MaterialList:
     """Hold the materials of another program's file, and the file's text.
 
-    ``path`` is the name of the file in messages. ``aliases`` are further names of materials.
-    ``scattering_text`` returns the text of scattering coefficients, one per band, for a
-    `ListedMaterial.scattering_place`.
+    ``path`` is the name of the file in messages. ``aliases`` has further names of materials, each with
+    the name in the file. ``scattering_text`` is a function that returns the text of scattering
+    coefficients, one per band, to write at `ListedMaterial.scattering_place`.
     """
 
     path: str
@@ -214,12 +215,13 @@ class MaterialList:
     ) -> Room:
         """Return a room of these materials.
 
-        Its bands are ``centre_frequencies`` in Hz, by default those that all materials have. ``volume``
-        is in m³. ``areas`` are in m² by a material's name or alias, or surfaces, such as those of a
-        mesh. Lists have no uncertainty: sigma comes from ``sigma`` by material, or else from the rule
-        (by default max(0.3 alpha, 0.01)). ``scattering`` is the coefficient of materials without one;
-        if it is not given, the room has scattering only if all its materials have. ``others`` are
-        materials from another source.
+        ``volume`` is in m³. ``areas`` are areas in m² by a material's name or alias, or surfaces, such
+        as those of a mesh. ``centre_frequencies`` are the room's bands in Hz; by default those that all
+        its materials have. Lists have no sigma: ``sigma`` has those that are known, by material, and
+        ``sigma_rule`` gives the others (by default max(0.3 alpha, 0.01)). ``scattering`` is the
+        coefficient of materials without one; with None, the room has scattering only if all its
+        materials have. ``others`` are materials from another source, by name. ``air`` is that of the
+        room, None for air that absorbs nothing.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -298,7 +300,8 @@ class MaterialList:
     def with_spellings(self, names: Iterable[str]) -> MaterialList:
         """Return the list with aliases for names that differ from the list's names only by blanks.
 
-        Exporters of meshes write ``ceiling_plaster`` for "ceiling plaster", or the reverse.
+        ``names`` are such names, from a mesh: exporters write ``ceiling_plaster`` for "ceiling
+        plaster", or the reverse.
         """
         there = {*self.names, *self.aliases}
         aliases = dict(self.aliases)
@@ -321,13 +324,13 @@ class MaterialList:
         return room.in_bands(obtainable)
 
     def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
-        """Return the file with the room's coefficients, the room as read from it, and what it lacks.
+        """Return the file with the room's coefficients, the room as a program reads it, and omissions.
 
-        Octaves of the file get the means of the room's third-octaves, and third-octaves the value of
-        their octave. A number is replaced only if the coefficient, rounded to the file's decimals,
-        differs from it. Scattering is written where the file or its format has a place for it. The
-        third value lists materials without scattering; if any lacks it, the room as read has no
-        scattering.
+        The omissions are the names of materials for which the file has no scattering; if there is one,
+        the room as it is read has no scattering at all. Octaves of the file get the means of the room's
+        third-octaves, and third-octaves the value of their octave. A number is replaced only if the
+        coefficient, rounded to the file's decimals, differs from it. Scattering is written where the
+        file or its format has a place for it.
         """
         common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
         room = self._in_file_bands(room, sorted(common))
@@ -402,9 +405,10 @@ def _spelling(name: str) -> str:
 
 
 def coefficient(value: float, unit: float) -> float:
-    """Return the coefficient of a number in the file.
+    """Return the coefficient that a number in the file stands for.
 
-    Percent are divided by 100, not multiplied by 0.01, so that 7 gives exactly the float 0.07.
+    ``unit`` is the factor from the number to the coefficient, 0.01 for percent. Percent are divided by
+    100, not multiplied by 0.01, so that 7 gives exactly the float 0.07.
     """
     return value / round(1 / unit) if unit < 1 else value
 
@@ -469,10 +473,11 @@ LOST = {
 class ExportReport:
     """Hold the room as a program reads it from a written material list, and the effect on T.
 
-    ``template`` is the list whose numbers were changed, None for a new list. ``equation`` is the
-    equation by which T in s, (n_bands,), was computed: of the exported room in the file's bands, and of
-    the room as a program reads it, ``as_read``. ``bands_not_written`` are bands of the room in Hz that
-    the file does not have for every material. ``lost`` is what the file cannot hold.
+    ``template`` is the list whose numbers were changed, None for a new list. ``room`` is the exported
+    room in the file's bands. ``reverberation_time`` (n_bands,) is T of this room in s, and
+    ``reverberation_time_as_read`` that of the room as a program reads it, both by ``equation``.
+    ``bands_not_written`` are bands of the room in Hz that the file does not have for every material.
+    ``lost`` are properties of the room that the file cannot hold.
     """
 
     path: str
@@ -533,11 +538,11 @@ class ExportReport:
 class Format:
     """Read and write the material lists of one simulation program.
 
-    ``parse`` returns the `MaterialList` of a content, its path, and what else `read` is given. ``new``
-    returns the content of a new list of a room whose materials are named as in the list; their names in
-    the room come second. ``bands`` are a new list's in Hz, none where it has the room's. ``readable``
-    returns the name of a material in a new list, ``prepared`` the list as it is to be changed for a
-    room.
+    ``parse`` is a function of a file's content, its path, and the further arguments of `read`; it
+    returns the `MaterialList`. ``new`` is a function of a room, whose materials are named as in the
+    list, and of their names in the room; it returns the content of a new list. ``bands`` returns the
+    bands in Hz of a new list, none if it has the room's. ``readable`` returns the name of a material in
+    a new list. ``prepared`` returns the list as it is to be changed for a room.
     """
 
     parse: Callable[..., MaterialList]
@@ -547,9 +552,10 @@ class Format:
     prepared: Callable[[MaterialList, Room], MaterialList] = lambda listed, _: listed
 
     def read(self, path: str | os.PathLike[str], **selected: Any) -> MaterialList:
-        """Return the materials of a program's file; DataError names the file, the line and the rule.
+        """Return the materials of a program's file.
 
-        ``selected`` are further arguments of this format, such as ``where`` for BRAS.
+        ``selected`` are further arguments of this format, such as ``where`` for BRAS. Raises DataError,
+        which names the file, the line and the rule.
         """
         content = read_bytes(path, MAX_TEXT)
         try:

@@ -95,8 +95,9 @@ class Face(NamedTuple):
 class Faces:
     """Hold the faces of a mesh as they are drawn, with the corners (n, 3) in m of each face.
 
-    ``path`` is the file's name, ``notes`` are notes on how it was read. ``unit`` is the length of the
-    file's unit in m if it is known.
+    ``polygons``, ``materials`` and ``names`` have one entry per face. ``path`` is the file's name, and
+    ``notes`` are on how the file was read. ``unit`` is the length of the file's unit in m, None if it
+    is not known.
     """
 
     path: str
@@ -111,9 +112,10 @@ class Faces:
 class Defect:
     """Hold one kind of defect of a mesh and its repair, in words.
 
-    ``places`` are names or corners of the first few defects, ``area`` is the area of the faces in m².
-    The effects are the changes of volume in m³ and surface in m² by the repair. The uncertainties are
-    standard uncertainties that remain: of the volume in m³, and of each material's area in m².
+    ``number`` is how often the defect was found, ``places`` are names or corners of the first few, and
+    ``area`` is the area of their faces in m². The effects are the changes of the room's volume in m³
+    and surface in m² by the repair. The uncertainties are standard uncertainties that remain: of the
+    volume in m³, and of each material's area in m².
     """
 
     kind: str
@@ -162,9 +164,9 @@ class Defect:
 class Mended:
     """Hold the geometry of a room that was read from a mesh, and the defects that were repaired.
 
-    ``geometry`` is None if the walls do not close, so that the room cannot be traced. Its ``volume`` in
-    m³ is then estimated by rays (`volume_by_rays`), and its ``areas`` in m² by material are those of
-    all faces as drawn. ``size`` are the lengths along x, y and z in m of the box around the room.
+    If the walls do not close, the room cannot be traced and ``geometry`` is None. The ``volume`` in m³
+    is then estimated by rays (`volume_by_rays`), and the ``areas`` in m² by material are those of all
+    faces as drawn. ``size`` is the box around the room: its lengths along x, y and z in m.
     """
 
     geometry: Polyhedron | None
@@ -202,9 +204,9 @@ class Mended:
 class MeshError(DataError):
     """Report a mesh that cannot be made a closed room.
 
-    ``reason`` is why, ``defects`` are all defects that were found. ``edges`` (n, 2, 3) are the open
-    edges in m. ``unclosed`` is the room as it is drawn, if it has walls around it, and ``leaking`` its
-    geometry with the holes, if its faces are plane.
+    ``reason`` is why, ``defects`` are all defects that were found, and ``edges`` (n, 2, 3) are the open
+    edges in m. If there are walls around the room, ``unclosed`` is the room as it is drawn, with an
+    estimated volume. If also all its faces are plane, ``leaking`` is its geometry with the holes.
     """
 
     reason = ""
@@ -240,9 +242,12 @@ _LOOSE = "components hang free, or are walls that do not meet the others"
 
 
 class Mending:
-    """One mesh while it is mended; ``points`` are the corners in m of all its parts.
+    """One mesh while it is repaired.
 
-    ``repeated`` are faces that are drawn again, each with the first one's material.
+    ``drawn`` are its faces. Corners within ``weld`` in m of each other are one. ``largest_hole`` is the
+    area in m² of the largest hole that is closed, None for a share of the walls' area. ``points`` (n,
+    3) are the corners in m of all its parts. ``repeated`` are faces that are drawn twice, each with the
+    material of the face that is kept.
     """
 
     def __init__(self, drawn: Faces, weld: float, largest_hole: float | None = None) -> None:
@@ -269,9 +274,12 @@ class Mending:
         unsure: Iterable[tuple[str, float]] = (),
         done: str = "",
     ) -> None:
-        """Note a defect at these places, with its effects in m², m³ and m²; those of a kind are one.
+        """Note a defect at these places; defects of one kind are noted together.
 
-        ``unsure`` are materials with a standard uncertainty of area in m² each.
+        ``area`` is that of the faces in m². ``volume`` and ``surface`` are the changes of the room's
+        volume in m³ and surface in m² by the repair, and ``uncertainty`` is the standard uncertainty of
+        the volume in m³ that remains. ``unsure`` are materials, each with the standard uncertainty of
+        its area in m². ``done`` says what the repair is; by default the usual one of this kind.
         """
         done, u, places = done or _DONE[kind], combined(unsure), tuple(places)
         none = self._found.get((kind, done)) or Defect(kind, 0, 0.0, 0.0, 0.0, 0.0, (), done)
@@ -632,9 +640,10 @@ def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> 
 
 
 def snapped(part: FaceSet) -> FaceSet:
-    """Return the faces with corners that are near an edge moved onto it.
+    """Return the faces, with corners that are near an edge moved onto this edge.
 
-    A moved corner moves its own edges, so that others are beside them: all are moved again.
+    A moved corner moves its own edges, so that other corners may then be near these: the search is
+    repeated, up to four times.
     """
     mend, before = part.mend, part.areas
     edges = np.array(sorted({edge for corners in part.loops for edge in edges_of(corners)}))
@@ -672,9 +681,10 @@ def snapped(part: FaceSet) -> FaceSet:
 
 
 def joined(part: FaceSet) -> FaceSet:
-    """Return the faces with neighbours in one plane and of one material and name as one polygon.
+    """Return the faces of a mesh of triangles, with neighbours in one plane as one polygon.
 
-    A group grows from its largest triangle, in whose plane all its corners are.
+    The neighbours must have the same material. A group grows from its largest triangle, whose name the
+    polygon gets, and whose plane contains all corners of the group.
     """
     mend, points, faces = part.mend, part.mend.points, part.faces
     if len(faces) < 8 or not all(len(face.corners) == 3 for face in faces):
@@ -754,10 +764,10 @@ _LOOPS = (
 
 
 def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
-    """Return the shell of the room, which may have holes, and the other components.
+    """Return the shell of the room, which may have holes, and the other components of the mesh.
 
-    The shell encloses all: its box is the largest, and no flat component's is a room's. A face between
-    it and an object is its, too.
+    The shell is the component that encloses all others: the one with the largest box that is not flat.
+    A single face that fills a hole between the shell and an object belongs to the shell, too.
     """
     mend = part.mend
     parts = part.components()
@@ -845,10 +855,10 @@ def _hint(part: FaceSet, loop: list[int], others: Sequence[FaceSet]) -> str:
 
 
 def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> MeshError:
-    """Return the error of a shell that is open with the room as it is drawn: V by rays.
+    """Return the error of an open shell, with the room as it is drawn and its volume by rays.
 
-    Rays cross the shell and closed objects. They cross all faces where the shell has less than half of
-    the area: then the walls do not meet.
+    ``others`` are the other components of the mesh. Rays cross the shell and closed objects. If the
+    shell has less than half of the area, the walls do not meet, and rays cross all faces.
     """
     areas = Counter[str]()
     for part in (shell, *others):
@@ -955,7 +965,10 @@ _MOST_OF_ROOM = 1 / 3
 
 
 class Cut(NamedTuple):
-    """A piece of a face, as a shape on the wall of this number that it lies ``away`` m before."""
+    """A piece of a face that lies before a wall, as its shape on this wall.
+
+    ``wall`` is the number of the wall, and ``away`` the distance of the piece from the wall in m.
+    """
 
     wall: int
     shape: Any
@@ -1007,10 +1020,11 @@ def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
 
 
 def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
-    """Move faces of a closed object within ``weld`` of a wall that they face onto it.
+    """Move the faces of a closed object that are near a wall, and face the wall, onto it.
 
-    So are those that reach through one of the ``n_shell`` faces of the shell by up to `OFFSET`: these
-    are contacts. A wider gap up to `OFFSET` between a whole face and the shell is noted.
+    A face is near if it is within the ``weld`` of the mesh, or if it reaches by up to `OFFSET` through
+    one of the first ``n_shell`` walls, the faces of the shell. Each is noted as a contact. A gap of
+    more than ``weld`` and up to `OFFSET` between a whole face and the shell is noted as a gap.
     """
     mend, gaps, widest = part.mend, list[tuple[str, float]](), 0.0
     onto: dict[int, list[Polygon]] = {}
@@ -1047,10 +1061,10 @@ def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
 
 
 def stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
-    """Move open edges of an open object within `OFFSET` of walls onto them.
+    """Move open edges of an open object that are within `OFFSET` of walls onto them.
 
-    Its faces gain or lose what lies between them and the wall: returned is the standard uncertainty of
-    area in m² by material.
+    The object's faces gain or lose the part between the old and the new edge. The standard uncertainty
+    of their area in m² by this is returned, by material.
     """
     mend, edges = part.mend, part.open_edges()
     onto: dict[int, list[Polygon]] = {v: [] for edge in edges for v in edge}
@@ -1097,10 +1111,10 @@ _PLATE = 1e-5
 
 @dataclass
 class Cell:
-    """A space between faces, or a surface in it, whose ``volume`` in m³ is below 0 then.
+    """A space between faces, or a surface in a space, which has a ``volume`` in m³ below 0.
 
-    ``triangles`` (n, 3, 3) are corners in m. ``sides`` (n,) are 2 i for the front of face i, which its
-    normal leaves, 2 i + 1 for its back, and -1 for edges.
+    ``triangles`` (n, 3, 3) are the corners of the triangles around it in m. ``sides`` (n,) is 2 i for
+    the front of face i, to which its normal points, 2 i + 1 for its back, and -1 for edges.
     """
 
     volume: float
@@ -1108,7 +1122,7 @@ class Cell:
     sides: NDArray[np.int64]
 
     def seen(self, n: int) -> Array:
-        """Return the area in m² of the front and the back of each of n faces around it, (n, 2)."""
+        """Return the area in m² of front and back of each of n faces around this space, (n, 2)."""
         edges = self.triangles[:, 1:] - self.triangles[:, :1]
         sizes = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
         known = self.sides >= 0
@@ -1119,8 +1133,8 @@ class Cell:
 def cells_of(part: FaceSet) -> list[Cell]:
     """Return the spaces that faces enclose, the largest first.
 
-    Each triangle is a thin plate, which reaches over its neighbours' edges. The spaces are the cavities
-    in the union of all plates.
+    To find them, each triangle becomes a thin plate that reaches over the edges of the triangles beside
+    it. The spaces are the cavities in the union of all plates.
     """
     needed = (
         "objects in a room and walls drawn as solids need manifold3d: pip install 'rtcal[mesh]'"
@@ -1170,9 +1184,10 @@ def cells_of(part: FaceSet) -> list[Cell]:
 
 
 def faces_around(cell: Cell, part: FaceSet, overlays: Sequence[Cut] = ()) -> FaceSet:
-    """Return what of some faces is around a cell, with what lies on them in its place.
+    """Return the faces, or pieces of faces, around a space, with overlays in place of what they cover.
 
-    Of a face with the cell on both sides a plate of `THICKNESS` is made.
+    ``cell`` is the space, ``part`` are the faces, and ``overlays`` are pieces of faces that lie on
+    them. A face with the space on both of its sides becomes a plate of the thickness `THICKNESS`.
     """
     mend, out = part.mend, FaceSet(part.mend)
     flat = cell.triangles.reshape(-1, 3)
@@ -1259,8 +1274,9 @@ def room_of(
 ) -> Polyhedron:
     """Return the room in a closed shell, with the objects, panels and overlays in it.
 
-    ``as_it_is`` is the room itself if no object touches another face. Raises DataError if the faces
-    around it do not close.
+    ``others`` are the other components of the mesh. ``as_it_is`` is the geometry of the faces as they
+    are drawn, which is returned if no object touches another face; None if they have none. Raises
+    DataError if the faces around the room do not close.
     """
     mend, n = shell.mend, sum(len(part.faces) for part in (shell, *others))
     if n > MOST_FACES:
@@ -1407,11 +1423,11 @@ _LEAST_SHARE = 0.05
 
 
 def room_between(part: FaceSet) -> FaceSet | None:
-    """Return the faces around the largest cavity between closed solids, which is noted.
+    """Return the faces around the largest cavity between closed solids, such as walls drawn as solids.
 
-    None if the faces are not several closed solids, or if one is a room that may hold the others.
-    Raises MeshError if all solids are thin and enclose no cavity, so that their faces bound material
-    and not air.
+    Returns None if the faces are not several closed solids, or if one of the solids is a room that may
+    hold the others. The cavity is noted. Raises MeshError if all solids are thin and enclose no cavity,
+    because their faces then bound material and not air.
     """
     mend = part.mend
     groups = _solids(part)
@@ -1468,10 +1484,11 @@ def _solids(part: FaceSet) -> list[FaceSet]:
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
     """Return the closed room that the faces of a mesh bound, with the defects that were repaired.
 
-    Faces that close as they are drawn are not changed; closed objects stand in the room, without the
-    parts that touch other faces. Corners within ``weld`` (m) of each other become one. Holes up to
-    ``largest_hole`` (m²) are closed, by default 1 % of the area of the walls. Raises MeshError for a
-    mesh without a closed room; it names the defect, the place and the repair.
+    If the faces close as they are drawn, they are not changed; closed objects stand in the room,
+    without the parts that touch other faces. Corners within ``weld`` in m of each other become one.
+    Holes up to ``largest_hole`` in m² are closed; with None, holes up to 1 % of the area of the walls.
+    Raises MeshError for a mesh without a closed room; its message has the defect, the place and the
+    repair.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:

@@ -167,7 +167,8 @@ def room(
 ) -> Mended:
     """Return the closed room of a mesh file, with the defects that were repaired.
 
-    Arguments are those of `read` and `rtcal.io.mend.mended`, and so are the errors.
+    ``unit``, ``space`` and ``weld`` are as in `read`, and ``weld`` and ``largest_hole`` as in
+    `rtcal.io.mend.mended`; the errors are those of these two functions.
     """
     faces = read(path, unit=unit, space=space, weld=weld)
     try:

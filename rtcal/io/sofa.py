@@ -42,10 +42,11 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Responses:
-    """Hold the responses of a SOFA file: samples (n_measurements, n_channels, n_samples), rate in Hz.
+    """Hold the impulse responses of a SOFA file, with their positions.
 
-    ``pairs`` are the source and receiver of each measurement; a pair may occur several times. A channel
-    is a microphone of an array, or an emitter. Positions are in m, in the coordinates of the file.
+    The samples are (n_measurements, n_channels, n_samples), and their rate is in Hz. A channel is a
+    microphone of an array, or an emitter. ``pairs`` are the source and receiver of each measurement; a
+    pair may occur several times. Positions are in m, in the coordinates of the file.
     """
 
     pairs: tuple[tuple[str, str], ...]
@@ -58,8 +59,8 @@ class Responses:
     def placed(self, scene: Scene) -> tuple[Responses, str]:
         """Return the responses with the room's names of positions, and a sentence on changed names.
 
-        The sentence is "" if no name changed. Raises DataError for a position that is not within `NEAR`
-        of a source or receiver of the room's ``scene``.
+        ``scene`` has the room's sources and receivers. The sentence is "" if no name changed. Raises
+        DataError for a position that is not within `NEAR` of a source or receiver of the scene.
         """
         names, changed = [], []
         for kind, points, known in (
@@ -161,12 +162,12 @@ class _File:
 
 
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
-    """Return the energy that a source in a SOFA file radiates in each direction.
+    """Return the directions, the radiated energy and the frequencies of a source in a SOFA file.
 
-    The first value are directions as unit vectors, (n_directions, 3): along the axis (``SourceView``),
-    above it (``SourceUp``) and to its left. Then follow the energy (n_directions, n_frequencies) in any
-    unit, and the frequencies in Hz. Raises as `read` does; also for a convention that is not among
-    `DIRECTIVITY_CONVENTIONS`, several measurements, or a source whose top is along its axis.
+    The directions are unit vectors (n_directions, 3), with components along the axis (``SourceView``),
+    to its top (``SourceUp``) and to its left. The energy (n_directions, n_frequencies) is in any unit,
+    the frequencies are in Hz. Raises the errors of `read`, and DataError for a convention that is not
+    among `DIRECTIVITY_CONVENTIONS`, several measurements, or a source whose top is along its axis.
     """
     file = _File(path)
     place, convention = file.path, file.convention

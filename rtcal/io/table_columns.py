@@ -134,7 +134,9 @@ def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
 
 
 def parameter_of(text: str) -> str:
-    """Return the parameter of a spelling: `OPEN` for "RT60", "" for an unknown one.
+    """Return the parameter that a spelling stands for; "" for an unknown spelling.
+
+    "RT60" leaves open whether T20 or T30 is meant, and gives `OPEN`.
 
     Examples
     --------
@@ -147,11 +149,11 @@ def parameter_of(text: str) -> str:
 
 
 def statistic_of(name: str) -> str | None:
-    """Return the statistic over positions that a row, column or sheet is called after.
+    """Return the statistic over positions that a row, column or sheet is called after, else None.
 
-    It is "value" for a mean, "standard_deviation", and "" for one that is not read (the least, the
-    median, a number of positions). `DOUBTFUL` is returned for a name with such a word and others, and
-    None for any other name.
+    The statistic is "value" for a mean, "standard_deviation", and "" for a statistic that is not read
+    (the least, the median, a number of positions). It is `DOUBTFUL` for a name that has such a word
+    beside others.
 
     Examples
     --------
@@ -199,10 +201,11 @@ def is_missing(cell: str) -> bool:
 class Column:
     """Hold the meaning of a table's column, from its header.
 
-    ``kind`` is "value" for a column of values, "" for a column that is left out, and otherwise what its
-    cells name, such as the band of a row (``words.toml``). For a column of values, ``parameter`` is
-    `OPEN` if the name leaves the decay time open; parameter, ``band`` in Hz and position are empty or
-    NaN if each row names them. ``wrong`` is an error of the header, such as an unknown unit.
+    ``kind`` is "value" for a column of values, "" for a column that is left out, and otherwise the word
+    for what its cells name, such as the band of a row (``words.toml``). For a column of values,
+    ``parameter`` is `OPEN` if the header does not say which decay time it has. Parameter and position
+    are "", and ``band`` in Hz is NaN, if each row names its own. ``wrong`` is an error of the header,
+    such as an unknown unit, and "" without one.
     """
 
     kind: str
@@ -274,8 +277,8 @@ _EXAMPLES = (
 def columns_of(header: Sequence[str], extra: Collection[str] = ()) -> list[Column | None]:
     """Return the column of each cell of a header, None for an unknown one.
 
-    "R2" is a correlation, or a receiver among headers of which another is one. A statistic such as
-    "Mean" among positions is left out. ``extra`` are headers that may be unknown.
+    "R2" is a correlation, but a receiver if another header is a receiver. A statistic such as "Mean"
+    among positions is left out. ``extra`` are headers that may be unknown.
     """
     in_khz = any(name_and_unit(name)[1].lower() == "khz" for name in header)
     if in_khz and any((frequency_of(name) or 1) < 1 for name in header):
@@ -386,9 +389,9 @@ def no_band(frequency: float) -> str:
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
-    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s", "T20 s" or "T20_s".
+    """Return name and unit of a header such as "T20 [s]", "T20 (s)", "T20 / s", "T20 in s" or "T20_s".
 
-    Of "T20 [s] 500 Hz" they are "T20 500 Hz" and "s".
+    The parts of "T20 [s] 500 Hz" are "T20 500 Hz" and "s".
     """
     if within := _UNIT_WITHIN.fullmatch(header):
         return f"{within[1]} {within[3].strip('_ ')}", within[2]
@@ -408,7 +411,9 @@ def scale_of(parameter: str, unit: str) -> float:
 
 
 def position_of(text: str) -> tuple[str, str] | None:
-    """Return source and receiver of a position's name, "" for no source; None for another text.
+    """Return source and receiver that a text names; None if the text is no name of a position.
+
+    The source is "" if the text names only a receiver.
 
     Examples
     --------
@@ -425,7 +430,9 @@ def position_of(text: str) -> tuple[str, str] | None:
 
 
 def repeat_of(text: str) -> str | None:
-    """Return the name of a repeat that is named in another usual way; None for another text.
+    """Return the name of a repeated position, such as ``S1R3#2``, from another usual way to write it.
+
+    Returns None for a text that is no name of a repeat.
 
     Examples
     --------
@@ -439,7 +446,7 @@ def repeat_of(text: str) -> str | None:
 
 
 def position_in(text: str) -> tuple[str, str] | None:
-    """Return source and receiver that stand within a text, such as a file's name.
+    """Return source and receiver that stand within a text, such as a file's name; None without these.
 
     Examples
     --------

@@ -249,8 +249,8 @@ def parse(
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
     """Return the measurement in rtcal's CSV file, a workbook, or a text of REW.
 
-    Raises DataError for any other text, as `rtcal.Measurement.from_file` does: check its columns first,
-    with ``rtcal table``. For rtcal's CSV file the result's ``columns`` is empty.
+    The result's ``columns`` is empty for rtcal's CSV file. Raises DataError for any other text, as
+    `rtcal.Measurement.from_file` does: check the columns of such a text first, with ``rtcal table``.
     """
     content = read_bytes(path, MAX_BYTES)
     if any(module.recognises(content) for module in FORMATS):
@@ -273,10 +273,10 @@ def sheets_of(
     where: Mapping[str, str] | None = None,
     extra: Collection[str] = (),
 ) -> list[Sheet]:
-    """Return the tables of a file, by the first of `FORMATS` that recognises it, or else as text.
+    """Return the tables of a file, read by the first of `FORMATS` that recognises it, or else as text.
 
-    ``where`` selects octaves or third-octaves of a text of REW. ``extra`` are headers that may be
-    unknown.
+    ``content`` is that of the file, ``path`` its name in messages. ``where`` selects octaves or
+    third-octaves in a text of REW; None reads it as it is. ``extra`` are headers that may be unknown.
     """
     for module in FORMATS:
         if module.recognises(content):
@@ -485,9 +485,10 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
 
 
 def stated_columns(sheet: Sheet, stated_text: str, *kinds: str) -> tuple[range, list[Column]]:
-    """Return the line numbers with values, and each column, from the text of the option ``columns``.
+    """Return the lines with values, and each column, that the option ``columns`` states.
 
-    ``kinds`` are further meanings that a column may have, besides those of measured values.
+    ``stated_text`` is the text of this option. ``kinds`` are further meanings that a column may have,
+    besides those of measured values.
     """
     found, lines = _LINES.fullmatch(stated_text), [line for line, _ in sheet.rows]
     first = int(found[1]) if found else lines[min(1, len(lines) - 1)]

@@ -51,10 +51,11 @@ class Text:
 
 
 def decode(content: bytes, path: str = "file") -> Text:
-    """Return a file's text: by its byte order mark, else UTF-8, else Windows-1252.
+    """Return a file's text, by its byte order mark, or else as UTF-8, or else as Windows-1252.
 
-    Windows-1252 leaves five bytes undefined; a file that has one is read as ISO 8859-1. Raises
-    DataError if the bytes violate the encoding of the byte order mark.
+    Windows-1252 leaves five bytes undefined; a file that has one of these is read as ISO 8859-1.
+    ``path`` is the file's name in messages. Raises DataError if the bytes violate the encoding that the
+    byte order mark states.
     """
     checks.content(path, content)
     for mark, codec in _BYTE_ORDER_MARKS.items():
@@ -90,11 +91,13 @@ def lines(characters: str) -> Iterator[tuple[int, int, str]]:
 
 
 def number(token: str, place: str) -> float:
-    """Return a decimal number; a typographic minus counts as a minus. DataError for anything else.
+    """Return the decimal number that a text has; a typographic minus counts as a minus.
+
+    ``place`` is the name of the text in messages. Raises DataError for any other text.
 
     Examples
     --------
-    >>> number("\u22121.5", "line 1")
+    >>> number("−1.5", "line 1")
     -1.5
     """
     plain = _TYPOGRAPHIC_MINUS.sub("-", token, count=1) if token else token
@@ -107,9 +110,10 @@ def number(token: str, place: str) -> float:
 def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
     """Return the numbers of a line that a person wrote, with decimal points or decimal commas.
 
-    Blanks and semicolons separate them, and commas beside blanks. Commas alone separate numbers if one
-    of ``counts`` is then how many there are, and are decimal marks if twice a count is. Raises
-    DataError as `number`, and for another count.
+    Blanks and semicolons separate numbers, and so do commas beside blanks. ``counts`` are the allowed
+    numbers of numbers: commas alone separate numbers if the line then has an allowed count, and are
+    decimal commas if the line then has twice such a count. ``place`` is the name of the line in
+    messages. Raises DataError for a text that is no number, and for another count.
 
     Examples
     --------
@@ -131,7 +135,7 @@ def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
 
 
 def unit_of(cell: str) -> str:
-    """Return the unit behind a cell's number, "" without one.
+    """Return the unit that follows the number in a cell; "" without a unit.
 
     Examples
     --------
@@ -158,11 +162,12 @@ _GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")
 
 @dataclass(frozen=True)
 class Sheet:
-    """The cells of one table of a file; ``place`` names it in messages: the file, and its sheet.
+    """The cells of one table of a file.
 
-    ``note``, the first line of the report, says how the cells were read, ``notes`` are further lines.
-    The table's own ``name`` may state a parameter or a position, ``position`` is source and receiver of
-    values whose rows and columns name none. ``separator`` is that of the cells in text.
+    ``place`` is the name of the table in messages: the file, and its sheet. ``note``, the first line of
+    the report, says how the cells were read; ``notes`` are further lines. ``name`` is the table's own
+    name, which may state a parameter or a position. ``position`` is source and receiver of values whose
+    rows and columns name none. ``separator`` is that of the cells in a text.
     """
 
     place: str
@@ -177,8 +182,9 @@ class Sheet:
 def sheets_of_text(text: Text, path: str) -> list[Sheet]:
     """Return the cells of a table's text by each separator that it may have, the likeliest first.
 
-    That is the one which divides most lines into equally many cells; a file without any is aligned by
-    blanks. Raises DataError for a text that is no table of cells.
+    The likeliest separator divides most lines into equally many cells. A text without any separator is
+    divided into columns that are aligned by blanks. Raises DataError for a text that is no table of
+    cells.
     """
     head, _, tail = text.characters.partition("\n")
     stated = head.strip().strip('"').lower()

@@ -72,9 +72,9 @@ _WORD = re.compile(r"(?!e[+-]?\d)[a-z/]+[\d²³]*")
 
 
 def sides(text: str) -> tuple[tuple[float, float, float], float]:
-    r"""Return length, width and height in m as people write them, and the length in m of their unit.
+    r"""Return length, width and height in m as people write them, and the length of their unit in m.
 
-    Raises DataError for another text.
+    Raises DataError for a text that is not three such numbers.
 
     Examples
     --------
@@ -119,7 +119,7 @@ class UnitError(DataError):
 
 
 class Advice(NamedTuple):
-    """What can be done about a size: how another unit in m is stated, all of them, and the height."""
+    """Texts that advise on a doubtful size: how to state another unit, all units, or the height."""
 
     unit: str
     units: str
@@ -161,11 +161,12 @@ def size_doubt(
     is_stated: bool = False,
     advice: Advice = OF_MESH,
 ) -> str:
-    """Return the doubt about a size that few rooms have, with that in other units; "" for others.
+    """Return the doubt about a room's size that few rooms have, with the size in other units, or "".
 
-    ``volume`` in m³ and ``size``, the lengths in m of the box around the room, () if not known, are
-    those with a ``unit`` in m. If the user, the file or its format states it, a volume that a few rooms
-    have is no matter of doubt.
+    ``volume`` is in m³, and ``size`` has the lengths in m of the box around the room, () if not known;
+    both are those with the length ``unit`` in m of the file's unit. If ``is_stated``, the user, the
+    file or its format states the unit, and a volume that only few rooms have is then no reason for
+    doubt. ``advice`` has the texts that advise on it.
 
     Examples
     --------
