@@ -241,10 +241,7 @@ def index(frequencies: Array, frequency: float) -> int | None:
 
 
 def is_middle(frequencies: Array) -> NDArray[np.bool_]:
-    """Return which bands are middle frequencies, 500 Hz to 2 kHz, as True or False, (n_bands,).
-
-    All bands count as middle frequencies if none lies in this range. ``frequencies`` (n_bands,) are in
-    Hz.
+    """Return True for each band from 500 Hz to 2 kHz, (n_bands,); True for all if no band is there.
 
     Examples
     --------
@@ -422,10 +419,7 @@ def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -> str:
-    """Return a sentence on how a quantity is converted between bands; "" if nothing is converted.
-
-    ``frequencies`` are the bands in Hz that have values, and ``wanted`` those to convert to; nothing is
-    converted if all have the same width. ``quantity`` is the name of the quantity in the sentence.
+    """Return a sentence on how a quantity is converted to the wanted bands; "" if nothing is converted.
 
     Examples
     --------
@@ -442,10 +436,7 @@ def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -
 
 
 def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T") -> list[str]:
-    """Return notes on how a measurement is converted to a room's bands, and on bands that are left out.
-
-    ``measured`` and ``wanted`` are the bands in Hz of the measurement and of the room. ``quantity`` is
-    the name of the measured quantity in the notes.
+    """Return notes on the measured bands in Hz that are converted to the wanted bands, or left out.
 
     Examples
     --------

@@ -1036,9 +1036,7 @@ _NO_COMPOUNDS = ("leinwand", "vorwand", "gewand")
 
 
 def kind_of(name: str) -> str | None:
-    """Return the kind of surface that a name has a word for, such as "floor"; None without such a word.
-
-    The kinds are "floor", "ceiling", "wall", and "floor and ceiling" for a word that means both.
+    """Return "floor", "ceiling", "wall" or "floor and ceiling" if a name has a word for it, else None.
 
     Examples
     --------

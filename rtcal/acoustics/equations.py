@@ -98,10 +98,7 @@ def register(equation: type[E]) -> type[E]:
 
 
 def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
-    """Return the keys of the equations of one kind, in alphabetical order.
-
-    ``kind`` is the class of these equations, by default all. A key is the name of an equation in files
-    and options, such as "eyring".
+    """Return the keys, such as "eyring", of all equations of the class ``kind``, in alphabetical order.
 
     Examples
     --------
@@ -213,10 +210,7 @@ class LinearEquation(MeanEquation):
         return np.asarray(room.total_area * self.inverse(self.exponent_of_time(room, t)))
 
     def exponent_of_time(self, room: Room, t: Array) -> Array:
-        """Return the absorption exponent (k V / T - 4 m V) / S that gives T, (..., n_bands).
-
-        ``t`` (..., n_bands) is T in s.
-        """
+        """Return the absorption exponent (k V / T - 4 m V) / S for T = ``t`` in s, (..., n_bands)."""
         with np.errstate(over="ignore"):
             total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
         return np.asarray((total - 4 * room.air_attenuation * room.volume) / room.total_area)

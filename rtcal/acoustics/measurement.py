@@ -128,10 +128,7 @@ def _mean_by_place(table: Array, placed: Sequence[Pair], power: int) -> Array:
 
 
 def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
-    """Return a list with a note on pairs that were measured several times; empty without such pairs.
-
-    ``placed`` are the (source, receiver) of each measurement; a pair that occurs several times was
-    repeated.
+    """Return a list with a note on pairs that occur several times, as repeats; empty without any.
 
     Examples
     --------

@@ -239,9 +239,7 @@ O = TypeVar("O", bound=Observable)  # noqa: E741
 
 
 def register(kind: type[O]) -> type[O]:
-    """Add a room-acoustic parameter to `OBSERVABLES` (a class decorator).
-
-    ``kind`` is the class of the parameter.
+    """Add a room-acoustic parameter, the class ``kind``, to `OBSERVABLES` (a class decorator).
 
     Raises
     ------
@@ -902,11 +900,7 @@ class Ts(Relative):
             return np.asarray(energy @ middle / energy.sum(axis=-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative of ln Ts by the energy of each time bin, (..., n_bins).
-
-        For bin k it is k / sum(E k) - 1 / sum(E), where E is the energy per bin and k counts bins from
-        0.5.
-        """
+        """Return the derivative of ln Ts by the energy E_k of each bin k: k / sum(E k) - 1 / sum(E)."""
         k = np.arange(energy.shape[-1]) + 0.5
         return np.asarray(k / (energy @ k)[..., np.newaxis] - 1 / energy.sum(-1, keepdims=True))
 

@@ -1526,10 +1526,7 @@ def above_one_hint(alpha: float) -> str:
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
-    """Return the text by which a room's record identifies measured data of one quantity.
-
-    ``kind`` is the name of the quantity, and ``values`` has its measured values by band or position.
-    The text contains the name and all values but NaN.
+    """Return the text by which a room's record identifies measured data: their values without NaN.
 
     Examples
     --------

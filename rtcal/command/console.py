@@ -79,10 +79,11 @@ def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def texts(option: str, stated: Sequence[str], form: str, *, last: bool = False) -> dict[str, str]:
-    """Return the texts by name; DataError for another form than NAME=VALUE and for a repeated name.
+    """Return the texts that a repeated option states as NAME=VALUE, by name.
 
-    ``form`` says in the error's message what is expected. The first = ends the name; with ``last`` the
-    last one does, where a value has none.
+    ``option`` is the option's name and ``form`` the expected form, both for error messages. The first =
+    ends the name; with ``last`` True, the last = does. Raises DataError for another form, and for a
+    name that is given twice.
     """
     by_name: dict[str, str] = {}
     for text in stated:
@@ -117,10 +118,11 @@ _LABEL = re.compile(r"[,;\s]*(?<![\d.])(\d+(?:\.\d+)?\s?(?:k\d*)?\s?(?:hz)?)\s*:
 def spectrum(
     option: str, text: str, bands: Sequence[float], *, alone: bool = False
 ) -> dict[float, float]:
-    """Return a value by band in Hz: "0.9 0.8" for each of ``bands``, or "500:0.9, 1000:0.8" for some.
+    """Return the values of an option by band in Hz, from "0.9 0.8" or "500:0.9, 1000:0.8".
 
-    A single number is every band's if it may stand ``alone``. Decimals may have commas. DataError for
-    another number of values, and for what is no band or no number.
+    The first form has one value for each of ``bands``, the second those of some bands. A single number
+    is the value of every band if ``alone`` is True. Decimals may have commas. Raises DataError for
+    another number of values, and for a text that is no band or no number.
     """
     before, *labelled = _LABEL.split(text.strip())
     if not labelled:
@@ -153,9 +155,10 @@ ARGUMENTS = (
 
 
 def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Measurement:
-    """Return the measurement that a command takes; what was read from another format is told once.
+    """Return the measurement in the file that a command takes.
 
-    With ``quietly`` it is not told, since another command or step has told it.
+    A note on what was read from another program's format is printed once, and not if ``quietly`` is
+    True, because another command or step has printed it.
     """
     from rtcal.io import tables
 
@@ -256,7 +259,9 @@ def told_by_modes(
 ) -> ModesResult:
     """Return the calibration to a table of modes, or to the modes of a SOFA file's responses.
 
-    It says after ten seconds what it does. Raises DataError as the files' readers.
+    ``path`` is that of the table or SOFA file. ``measured`` has T, None for a calibration to the modes
+    alone. ``equation`` is the reverberation equation, None for Eyring's. After ten seconds the command
+    prints what it does. Raises DataError for the reasons of the files' readers.
     """
     from rtcal.io import sofa
     from rtcal.modes import measured as tables
@@ -444,11 +449,11 @@ OPTIONS: dict[str, Decorator] = {
 
 
 def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> Decorator:
-    """Add arguments and options to a command, in this order.
+    """Return the decorator that adds arguments and options to a command, in this order.
 
-    A name in upper case is the path of a file, with a question mark one that may be left out; another
-    name is an option of `OPTIONS`. Last are, if not left out, those that all commands have ``shared``:
-    --json, --quiet and, where the command ``writes`` files, --force.
+    A name in upper case is the path of a file, which may be left out if the name has a question mark;
+    any other name is an option of `OPTIONS`. With ``shared`` the options that all commands have follow:
+    --json, --quiet and, if the command ``writes`` files, --force.
     """
     last = (("json", "quiet", "force") if writes else ("json", "quiet")) if shared else ()
 
@@ -514,11 +519,11 @@ class CannotPrint(click.ClickException):
 def tell(
     text: str, record: Mapping[str, Any] | Callable[[], Mapping[str, Any]], then: str = ""
 ) -> None:
-    """Write the command's files, and print a text and which they are, or with ``--json`` a record.
+    """Write the command's files, and print a text and the files' names or, with ``--json``, a record.
 
-    A function makes the record where it is printed. With ``--quiet`` it prints nothing. Files are
-    written first, since a reader may close the output (``| head``). ``then`` stands below the files'
-    names. Raises CannotPrint where the output is closed or full.
+    ``record`` may be a function, which makes the record only if it is printed. ``then`` is printed
+    below the files' names. With ``--quiet`` nothing is printed. Files are written first, because a
+    reader may close the output (``| head``). Raises CannotPrint if the output is closed or full.
     """
     made = disk.commit()
     as_json = has("as_json")
@@ -566,10 +571,10 @@ def printing() -> Iterator[None]:
 
 
 def warn(message: object) -> None:
-    """Print a sentence on standard error, unless that is closed or full.
+    """Print a sentence on standard error, unless standard error is closed or full.
 
-    It is one line, so that a log keeps it together. On a terminal, and if COLUMNS is set, the message's
-    own lines stand below each other, wrapped.
+    The sentence is one line, so that a log keeps it together. On a terminal, and if COLUMNS is set, the
+    message's own lines are printed below each other, wrapped.
     """
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
     parts = [printable(" ".join(part.split())) for part in f"rtcal: {message}".split("\n")]
@@ -579,10 +584,10 @@ def warn(message: object) -> None:
 
 
 def shown_warnings() -> Callable[..., None]:
-    """Return what prints a warning as one line, without its source; nothing with ``--quiet``.
+    """Return a function that prints a warning as one line, without its source.
 
-    Takes the place of `warnings.showwarning`. That paths are few is said once, and not of every model
-    that is fitted.
+    The function replaces `warnings.showwarning`, and prints nothing with ``--quiet``. That a model has
+    few paths is printed once, and not for every model that is fitted.
     """
     few = False
 

@@ -49,7 +49,7 @@ _LEAST_LIKENESS = 0.76
 def names() -> dict[str, str]:
     """Return the name and the description of each material in the catalogue.
 
-    Raises MissingDependencyError without pyroomacoustics, which has the catalogue.
+    Raises MissingDependencyError if pyroomacoustics, which has the catalogue, is not installed.
     """
     try:
         # Only the data file is read; the package itself is not imported.
@@ -148,11 +148,12 @@ def pages(names: Collection[str]) -> list[str]:
 def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array) -> Piece:
     """Return several pieces of one kind, such as chairs, with the absorption area of each piece.
 
-    The area is the mean of published values, which ``pieces.toml`` has with their sources; for some
-    pieces these are a typical lowest and highest value. The uncertainty sigma is the standard deviation
-    of the values, or of a uniform distribution between the extremes. If this is less than the root mean
-    square of all pieces, relative to the area, then sigma is that root mean square; likewise for a
-    piece with one value. It is at least 0.01 m². At 8000 Hz it is relative to the area as at 4000 Hz.
+    The absorption area in m² is the mean of published values, which ``pieces.toml`` has with their
+    sources; for some pieces these are a typical lowest and highest value. The uncertainty sigma is the
+    standard deviation of the values, or of a uniform distribution between the lowest and the highest.
+    Relative to the area, sigma is at least the root mean square of that of all pieces, which also
+    stands for sigma of a piece with one value. sigma is at least 0.01 m². At 8000 Hz its ratio to the
+    area is that at 4000 Hz.
 
     Parameters
     ----------
@@ -254,10 +255,11 @@ def material_list() -> MaterialList:
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
-    An entry that ``material_names.toml`` lists for this name is first. For the others, rare words count
-    more than frequent ones, and words of an entry's name more than those of its description. Endings
-    may differ, and words of other languages and of the trade are translated. ``most`` is the largest
-    number of names. ``among`` replaces the catalogue by other entries, name to description.
+    ``name`` is that of the material, and ``most`` the largest number of names to return. ``among`` has
+    entries to choose from, as name to description; None for the catalogue's. An entry that
+    ``material_names.toml`` lists for this name is first. For the others, rare words count more than
+    frequent ones, and words of an entry's name more than those of its description. Endings may differ,
+    and words of other languages and of the trade are translated.
 
     Examples
     --------
@@ -290,8 +292,8 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
 def nearest(name: str, most: int = 3) -> list[str]:
     """Return catalogue entries that resemble a material's name, each as a line of text.
 
-    A line has the entry's name, its construction and mounting as the source describes them, and alpha
-    at 500 Hz with its sigma.
+    There are at most ``most`` lines. A line has the entry's name, its construction and mounting as the
+    source describes them, and alpha at 500 Hz with its sigma.
     """
     described = names()
     lines = []

@@ -59,16 +59,17 @@ _HIDDEN = {
 def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
     """Return a simulated room in which an effect is missing from the model, and the true effect.
 
-    The first value is the case for `rtcal.find`, the second has the effect and the true ``alpha``. The
-    rooms were simulated by a program that is independent of rtcal (`benchmarks/studies/hidden_world`).
+    The first value is the case for `rtcal.find`. The second value has the effect, and the true
+    ``alpha`` of the materials. The rooms were simulated by a program that is independent of rtcal
+    (`benchmarks/studies/hidden_world`).
 
     Parameters
     ----------
     which : {"case", "closed", "identified", "not_identified"}
         Name of the room. "case": a room of six materials, measured as it is and with one material
-        covered. "closed": the same room, with everything closed or taken out that can be.
-        "identified": a room in which rtcal identifies the effect. "not_identified": a room in which it
-        identifies none.
+        covered. "closed": the same room, with everything closed or taken out that can be. "identified":
+        a room in which rtcal identifies the effect. "not_identified": a room in which rtcal identifies
+        no effect.
 
     Raises
     ------

@@ -121,7 +121,7 @@ def commit() -> list[str]:
 
 
 def target(path: Path) -> Path:
-    """Return the path of the file that a path or link refers to; OSError if that is not a file."""
+    """Return the path of the file that a path or link refers to; OSError if there is another thing."""
     try:
         file = path.resolve()
         kind = file.stat().st_mode
@@ -272,7 +272,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file whole at once, without a record, such as a piece of a study or of a cache."""
+    """Write a file, such as a piece of a cache, so that it is replaced as a whole or not at all."""
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
     with _naming(path, _UNWRITTEN):
         _write_file(new, content)
@@ -297,9 +297,9 @@ def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
 
 
 def write(path: Path, array: Array) -> None:
-    """Write an array of numbers into a cache, under a path that must identify what it depends on.
+    """Write an array of numbers into a cache; if the folder cannot be written, nothing is kept.
 
-    If the folder cannot be written, nothing is kept.
+    ``path`` is that of the file. It must identify all that the array depends on.
     """
     content = io.BytesIO()
     np.save(content, array, allow_pickle=False)
@@ -316,8 +316,8 @@ def _sealed(path: Path, content: bytes) -> bytes:
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return the bytes of a file.
 
-    Raises DataError if the file is missing, is not a regular file, has more than ``limit`` bytes, or is
-    of a set of files that was written only in part.
+    Raises DataError if the file is missing, is not a regular file, has more than ``limit`` bytes, or
+    belongs to a set of files that was written only in part.
     """
     with _naming(path):
         if Path(path).exists() and not Path(path).is_file():
@@ -341,7 +341,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
     """Return the text of a file in UTF-8.
 
-    Raises DataError if it cannot be read, has more than ``limit`` bytes, or is not UTF-8.
+    Raises DataError if the file cannot be read, has more than ``limit`` bytes, or is not UTF-8.
     """
     content = read_bytes(path, limit)
     try:
@@ -357,7 +357,8 @@ def spare(
 ) -> None:
     """Raise DataError if a path to be written is also read, or would be written twice.
 
-    This includes a file that rtcal did not write and that a command would replace.
+    ``written`` and ``read`` are the paths that a command writes and reads. The error is also raised for
+    a file that rtcal did not write and that the command would replace.
     """
     taken = {Path(path).resolve(): path for path in read}
     for path in written:
@@ -381,10 +382,10 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | None = None) -> None:
     """Write several files as one set: if one cannot be written, all stay as they were.
 
-    The keys of ``contents`` are paths, in ``folder`` if it is given, which is made if needed. In a
-    command the files are written at its end. If the process is killed meanwhile, rtcal refuses to read
-    the files until they are written again. Links are followed, and existing files keep their mode.
-    Raises DataError, which names the file, if it cannot be written.
+    The keys of ``contents`` are paths, relative to ``folder`` if it is given, which is made if needed.
+    In a command the files are written at its end. If the process is killed meanwhile, rtcal refuses to
+    read the files until they are written again. Links are followed, and existing files keep their mode.
+    Raises DataError, which names the file that cannot be written.
     """
     if folder is not None:
         make_folder(folder)
@@ -412,8 +413,9 @@ def make_folder(path: str | os.PathLike[str]) -> None:
 def json_numbers(value: Any) -> Any:
     """Return a value as plain numbers, texts, lists and objects for JSON; NaN becomes None.
 
-    An array with named columns becomes a list with an object per row. An object with a ``to_dict``
-    becomes the value of that; another dataclass becomes its fields, or its text if it has one.
+    An array with named columns becomes a list with an object per row. An object with a method
+    ``to_dict`` becomes the value of this method; another dataclass becomes its text if it has one, else
+    its fields.
     """
     if value is None or isinstance(value, str | bool):
         return value

@@ -72,11 +72,11 @@ class Result(ABC):  # some kinds have methods that each of them must have
         return notebook(repr(self).strip("<>"), shown) if shown else None
 
     def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
-        """Return the JSON text that `save` writes: the numbers of `to_dict`, and the data to load it.
+        """Return the JSON text that `save` writes: the numbers of `to_dict`, and the data to load them.
 
-        Names of other files, such as a room's mesh, are relative to ``folder``, or whole paths without
-        one. If the result has an object of your own class, such as a simulator, it cannot be loaded
-        again: the text then has only the numbers, and the reason.
+        Names of other files, such as a room's mesh, are relative to ``folder``; with None they are
+        whole paths. If the result has an object of your own class, such as a simulator, the result
+        cannot be loaded again: the text then has only the numbers, and the reason.
         """
         try:
             return self._text({"objects": plain(self, folder)})
@@ -91,9 +91,9 @@ class Result(ABC):  # some kinds have methods that each of them must have
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the result as a file that `rtcal.load` reads, and return the path of the file.
 
-        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``. The
-        file is written whole or not at all. Raises DataError if it cannot be written, or if the result
-        has an object that no file can hold.
+        ``path`` is a folder, which gets a ``result.json``, or the name of a file that ends in
+        ``.json``. The file is written whole or not at all. Raises DataError if the file cannot be
+        written, or if the result has an object that no file can hold.
         """
         place = checks.path("path", path)
         if place.suffix != ".json" or place.is_dir():
@@ -156,8 +156,8 @@ def load(path: str | os.PathLike[str]) -> Any:
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
     """Return a dataclass as a list of plain objects for JSON, each after the objects that it contains.
 
-    Names of files are relative to ``folder``, or whole paths without one. Raises CannotBeSavedError for
-    an object that is not one of rtcal's dataclasses.
+    Names of files are relative to ``folder``; with None they are whole paths. Raises CannotBeSavedError
+    for an object that is not one of rtcal's dataclasses.
 
     Examples
     --------
@@ -215,9 +215,9 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
 
 
 def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
-    """Return the object that `plain` turned into ``objects``; raises DataError for anything else.
+    """Return the object that `plain` turned into ``objects``; DataError for any other list.
 
-    Names of files are relative to ``folder``.
+    Names of files in it are relative to ``folder``.
     """
     made: list[Any] = []
 

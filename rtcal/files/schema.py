@@ -44,9 +44,9 @@ _REFUSED = msgspec.ValidationError, UnicodeEncodeError, IndexError, TypeError
 
 
 class FileTable(msgspec.Struct, forbid_unknown_fields=True):
-    """Describe a table of a file: its fields are the keys that may be there.
+    """Describe a table of a file: its fields are the keys that the table may have.
 
-    Those without a default must.
+    Keys whose fields have no default must be there.
     """
 
 
@@ -350,7 +350,7 @@ _MOST_OF_A_FILE = 2**25
 
 
 def kind_of(path: str | os.PathLike[str]) -> str:
-    """Return the kind of rtcal's files to which a file belongs, "" for another file.
+    """Return the kind of rtcal's files to which a file belongs; "" for a file of another kind.
 
     It is `RESULT`, `TABLE`, "a room", "a case", "a file of variants" or "a file of treatments".
     """
@@ -402,7 +402,7 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
 def toml_text(table: Mapping[str, Any]) -> str:
     """Return plain values as the text of a TOML file, with each list of numbers on one line.
 
-    A list of tables, which hold no tables themselves, stands at the end: ``[[key]]`` for each.
+    A list of tables stands at the end, with ``[[key]]`` before each; such a table has no tables itself.
     """
     import tomli_w
 

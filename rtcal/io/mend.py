@@ -965,10 +965,7 @@ _MOST_OF_ROOM = 1 / 3
 
 
 class Cut(NamedTuple):
-    """A piece of a face that lies before a wall, as its shape on this wall.
-
-    ``wall`` is the number of the wall, and ``away`` the distance of the piece from the wall in m.
-    """
+    """A piece of a face, as a shape on the wall of number ``wall`` that it lies ``away`` m before."""
 
     wall: int
     shape: Any

@@ -134,9 +134,7 @@ def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
 
 
 def parameter_of(text: str) -> str:
-    """Return the parameter that a spelling stands for; "" for an unknown spelling.
-
-    "RT60" leaves open whether T20 or T30 is meant, and gives `OPEN`.
+    """Return the parameter that a spelling stands for: `OPEN` for "RT60", "" for an unknown spelling.
 
     Examples
     --------
@@ -411,9 +409,7 @@ def scale_of(parameter: str, unit: str) -> float:
 
 
 def position_of(text: str) -> tuple[str, str] | None:
-    """Return source and receiver that a text names; None if the text is no name of a position.
-
-    The source is "" if the text names only a receiver.
+    """Return source and receiver that a text names, "" for no source; None for another text.
 
     Examples
     --------
@@ -430,9 +426,7 @@ def position_of(text: str) -> tuple[str, str] | None:
 
 
 def repeat_of(text: str) -> str | None:
-    """Return the name of a repeated position, such as ``S1R3#2``, from another usual way to write it.
-
-    Returns None for a text that is no name of a repeat.
+    """Return the name of a repeat, such as ``S1R3#2``, from another usual way to write it, else None.
 
     Examples
     --------

@@ -91,9 +91,7 @@ def lines(characters: str) -> Iterator[tuple[int, int, str]]:
 
 
 def number(token: str, place: str) -> float:
-    """Return the decimal number that a text has; a typographic minus counts as a minus.
-
-    ``place`` is the name of the text in messages. Raises DataError for any other text.
+    """Return the decimal number in a text, also with a typographic minus; DataError for any other text.
 
     Examples
     --------

@@ -76,8 +76,8 @@ class Simulator(Protocol):
 class RoomSimulator:
     """Base of the simulators that are built for a `Room`, with its materials and bands.
 
-    It adds what `rtcal.calibrate_positions` needs beyond `Simulator`, with defaults for a simulator
-    that does not trace paths.
+    It has the methods that `rtcal.calibrate_positions` needs beyond those of `Simulator`, with defaults
+    for a simulator that does not trace paths.
     """
 
     room: Room
@@ -155,7 +155,8 @@ def complete(simulator: Simulator) -> RoomSimulator:
 def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     """Return a read-only copy of coefficients, once they are checked for a simulator or a room.
 
-    Raises DataError if ``alpha`` is not (n_materials, n_bands), or a coefficient is not from 0 to 1.
+    Raises DataError if ``alpha`` does not have the shape (n_materials, n_bands) of the simulator or
+    room ``of``, or if a coefficient is not from 0 to 1.
     """
     materials, frequencies = of.materials, of.centre_frequencies
     ordered = in_order("alpha", alpha, materials)
@@ -170,10 +171,12 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
 def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
     """Return a simulator's result for coefficients, once both are checked.
 
+    ``alpha`` (n_materials, n_bands) are the coefficients, ``seed`` is that of the random numbers.
+
     Raises
     ------
     DataError
-        For a seed that is no whole number of at least 0, and as `check_alpha`.
+        For a seed that is no whole number of at least 0, and for the reasons of `check_alpha`.
     SimulatorError
         If the simulator raises an error that is no `RtcalError`, or returns no `Measurement`, other
         bands, or no T20 for a pair.
@@ -223,10 +226,10 @@ def lost_paths(simulator: Simulator) -> tuple[str, ...]:
 
 
 def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement, tuple[str, ...]]:
-    """Return the measurement with repeats at one position averaged, and a note on them.
+    """Return the measurement with repeats at one position averaged, and notes on these repeats.
 
-    Names whose positions in the simulator are within `SAME_PLACE` count as repeats. As separate
-    positions they would make the uncertainty of the mean too small.
+    Positions with different names count as repeats if they are within `SAME_PLACE` of each other in the
+    simulator. As separate positions they would make the uncertainty of the mean too small.
     """
     checks.instance("measured", measured, Measurement)
     same: dict[str, dict[str, str]] = {"sources": {}, "receivers": {}}
@@ -276,8 +279,8 @@ more than by rounding, and its curvature changes the slope by less than 1 %."""
 class Observations:
     """Room-acoustic parameters by pair and band, on a scale that is nearly linear in alpha.
 
-    ``parameters`` are keys of `rtcal.acoustics.observables.OBSERVABLES`. Decay times and Ts are given
-    as logarithms.
+    ``parameters`` are keys of `rtcal.acoustics.observables.OBSERVABLES`. Values of decay times and Ts
+    are logarithms, all others are the parameters themselves.
     """
 
     parameters: tuple[str, ...]
@@ -333,9 +336,10 @@ class Observations:
     def of_measurement(
         cls, measurement: Measurement, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]
     ) -> Observations:
-        """Return the observations from measured or simulated values, NaN where one is missing.
+        """Return the observations from measured or simulated values, NaN where a value is missing.
 
-        The relative level is that of ``"level"``, or else of ``"g"``.
+        ``parameters`` are keys, such as ``"t20"``, and ``pairs`` are (source, receiver) in the wanted
+        order. The relative level is that of ``"level"``, or of ``"g"`` if ``"level"`` is not measured.
         """
         checks.instance("measurement", measurement, Measurement)
         parameters = checks.texts("parameters", parameters)
@@ -384,8 +388,8 @@ def derivatives(simulator: Simulator) -> Any:
     """Return the simulator if it has the methods ``observe`` and ``jacobian``; None otherwise.
 
     ``observe(alpha, match, *, seed)`` must return `Observations`, and ``jacobian(alpha, match, *,
-    seed)`` their derivatives, (n_parameters, n_pairs, n_bands, n_materials). An observation must not
-    depend on coefficients of another band.
+    seed)`` their derivatives by alpha, (n_parameters, n_pairs, n_bands, n_materials). An observation
+    must not depend on coefficients of another band.
     """
     return simulator if hasattr(simulator, "observe") and hasattr(simulator, "jacobian") else None
 
@@ -395,9 +399,9 @@ def observe(
 ) -> Observations:
     """Return the simulated parameters at a simulator's positions, as `Observations`.
 
-    ``alpha`` are the coefficients (n_materials, n_bands), ``match`` the parameters. Raises DataError
-    for an unknown parameter, a wrong seed or alpha, and SimulatorError if the simulator does not return
-    a parameter.
+    ``alpha`` (n_materials, n_bands) are the coefficients, ``match`` the keys of the parameters, and
+    ``seed`` that of the random numbers. Raises DataError for an unknown parameter or a wrong seed or
+    alpha, and SimulatorError if the simulator does not return a parameter.
     """
     if (own := derivatives(simulator)) is not None:
         if not isinstance(own, RoomSimulator):  # those check it themselves
@@ -419,7 +423,8 @@ def jacobian(
 ) -> Array:
     """Return the derivatives of `observe` by alpha, (n_parameters, n_pairs, n_bands, n_materials).
 
-    They come from the simulator's method ``jacobian``, or else from `differences`.
+    They come from the simulator's method ``jacobian`` or, without this method, from `differences`. The
+    arguments are those of `observe`.
     """
     match = checked_parameters(match)
     if (own := derivatives(simulator)) is not None:
@@ -432,9 +437,10 @@ def differences(
 ) -> Array:
     """Return the derivatives of `observe` by alpha from differences between simulations.
 
-    Their shape is (n_parameters, n_pairs, n_bands, n_materials). Each material needs two simulations
-    with alpha changed by `STEP` in all bands, with the same seed. Where a decay of one of them is too
-    short, a simulation with the unchanged alpha takes its place.
+    Their shape is (n_parameters, n_pairs, n_bands, n_materials), and the arguments are those of
+    `observe`. Each material needs two simulations, in which its alpha is changed by `STEP` in all
+    bands, with the same seed. If a decay of one of the two is too short, a simulation with the
+    unchanged alpha takes the place of this one.
     """
     alpha = check_alpha(simulator, alpha)
     columns = []
@@ -465,9 +471,10 @@ def of_decays(
 ) -> Observations:
     """Return the observations from energy decays, (n_pairs, n_bands, n_bins) in 1/m².
 
-    The level is G: that of a source of unit energy, relative to 10 m in the free field. ``cause`` is
-    the reason that error messages give for a missing parameter. Raises TooShortError if a decay is too
-    short for a decay time, DataError if another parameter is missing.
+    ``bin_width`` is the width of the time bins in s, and ``match`` are keys of the parameters. The
+    level is G: that of a source of unit energy, relative to 10 m in the free field. ``cause`` is the
+    reason that error messages give for a missing parameter. Raises TooShortError if a decay is too
+    short for a decay time, and DataError if another parameter is missing.
     """
     energy = checked_decay(energy, bin_width)
     return Observations(
@@ -487,9 +494,10 @@ def values_of_decays(
     centre_frequencies: Array,
     cause: str = "too little is reflected",
 ) -> Array:
-    """Return the values of `of_decays`, without a check of the decays.
+    """Return the values of parameters from energy decays, as `of_decays` but without its checks.
 
-    Decays (..., n_pairs, n_bands, n_bins) give (n_parameters, ..., n_pairs, n_bands).
+    ``energy`` (..., n_pairs, n_bands, n_bins) gives values (n_parameters, ..., n_pairs, n_bands). The
+    arguments are those of `of_decays`.
     """
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):

@@ -260,10 +260,10 @@ class Polyhedron:
         write_text(path, self.to_text())
 
     def require_inside(self, kind: str, points: Mapping[str, Any]) -> Array:
-        """Return points by name as an array (n_points, 3), once all are in the room.
+        """Return points by name as an array (n_points, 3) in m, once all are found to be in the room.
 
-        Raises DataError for a point outside the room or closer than `WELD` to a wall. ``kind`` is
-        "source" or "receiver", for the message.
+        ``points`` are (x, y, z) in m by name, and ``kind`` is "source" or "receiver", for the message.
+        Raises DataError for a point outside the room or closer than `WELD` to a wall.
         """
         if not checks.mapped(f"{kind}s", points):
             raise DataError(f"there is no {kind}; give at least one")
@@ -282,8 +282,9 @@ class Polyhedron:
     ) -> tuple[Array, Array]:
         """Return the positions of sources and receivers in m, (n, 3) each, once they are checked.
 
-        Raises DataError as `require_inside`, and for a source within a centimetre of a receiver, where
-        direct sound is unlimited.
+        ``sources`` and ``receivers`` are (x, y, z) in m by name. Raises DataError for a position
+        outside the room or closer than `WELD` to a wall, and for a source within a centimetre of a
+        receiver, where direct sound is unlimited.
         """
         of_sources = self.require_inside("source", sources)
         of_receivers = self.require_inside("receiver", receivers)
@@ -392,8 +393,8 @@ def _shells(
 class Plane:
     """Plane of some faces, with two axes in it and the rectangle that bounds the faces.
 
-    ``along`` is the direction of the longest edge of the faces' outline. ``size`` (2,) are the
-    rectangle's sides in m.
+    ``along`` is one axis, the direction of the longest edge of the faces' outline. ``size`` (2,) has
+    the rectangle's sides in m.
     """
 
     along: Array
@@ -426,9 +427,10 @@ class Plane:
 
 
 def outline(geometry: Polyhedron, faces: Sequence[int]) -> Array:
-    """Return the edges (n, 3) of the outline of faces, such as of a wall that is drawn as triangles.
+    """Return the edges of the outline of faces, such as of a wall that is drawn as triangles.
 
-    They are edges that no two of the faces share, or all edges if there are none of these.
+    The edges are vectors (n, 3) in m. ``faces`` are the numbers of the faces. The outline has the edges
+    that no two of the faces share, or all edges if there is none of these.
     """
     rings = [geometry.faces[i] for i in faces]
     every = [edge for ring in rings for edge in zip(ring, [*ring[1:], ring[0]], strict=True)]
@@ -459,7 +461,8 @@ _NEXT, _LAST = np.array([[1, 2, 0], [2, 0, 1]])
 def vector_area(polygon: Array) -> Array:
     """Return the area of a plane polygon in m² times its unit normal, (3,).
 
-    It is ½ sum of p_i x p_(i+1) (Newell). Seen against the normal, the vertices run counter-clockwise.
+    ``polygon`` (n, 3) are its vertices p_i in m. The result is ½ sum of p_i x p_(i+1) (Newell). Seen
+    from the side to which the normal points, the vertices run counter-clockwise.
     """
     local = polygon - polygon[0]  # near the origin the products lose no digits
     after = np.concatenate((local[1:], local[:1]))
@@ -579,8 +582,9 @@ _PAIRS = 150_000
 def first_hit(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[np.int64], Array]:
     """Return the first triangle that each ray hits, and its distance in m, infinite without a hit.
 
-    ``p`` and ``v`` (n_rays, 3) are the origins and directions of the rays, ``planes`` and ``sides``
-    those of `rtcal.simulators.path_tracing.planes_of`.
+    ``p`` and ``v`` (n_rays, 3) are the origins and directions of the rays. ``planes`` and ``sides`` are
+    the planes and side functions of the triangles that `rtcal.simulators.path_tracing.planes_of`
+    returns.
     """
     triangle, length = np.empty(len(p), dtype=np.int64), np.empty(len(p))
     step = max(1, _PAIRS // len(planes))
@@ -627,9 +631,11 @@ def _tree(points: Array) -> Any:
 def edge_owners(
     vertices: Array, faces: Sequence[Sequence[int]]
 ) -> dict[Edge, list[tuple[int, bool]]]:
-    """Return the faces at each piece of an edge, and whether each face runs from the lower vertex.
+    """Return the faces at each piece of an edge, and the direction in which each runs along it.
 
-    Vertices of the ``faces`` that lie on an edge divide it into pieces.
+    The key is the piece, as the numbers of its two vertices. Each face is a number, with True if it
+    runs from the vertex with the lower number. Vertices of ``faces`` that lie on an edge divide it into
+    pieces. ``vertices`` (n, 3) are in m.
     """
     sides = [(i, face[k - 1], face[k]) for i, face in enumerate(faces) for k in range(len(face))]
     edges = list({(min(a, b), max(a, b)): None for _, a, b in sides})
@@ -689,10 +695,11 @@ def cut(part: Array, normal: Array, offset: float) -> tuple[Array, Array]:
 
 
 def cut_face(geometry: Polyhedron, face: int, edges: Sequence[tuple[Array, float]]) -> list[Array]:
-    """Return the pieces into which lines cut a face; the face itself without any line.
+    """Return the pieces into which lines cut a face, each with its vertices (n, 3) in m.
 
-    Each of ``edges`` is a line (direction, offset) where x @ direction is the offset in m. Pieces are
-    convex, unless there is no line.
+    ``face`` is the number of the face. Each of ``edges`` is a line (direction, offset), on which points
+    x have x @ direction equal to the offset in m. Pieces are convex. Without any line the face is the
+    only piece, and need not be convex.
     """
     if not edges:
         return [geometry.vertices[list(geometry.faces[face])]]

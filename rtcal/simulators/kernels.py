@@ -112,17 +112,18 @@ def trace(
     thinned: float,
     shares: Array,
 ) -> tuple[Any, Any, Any, Any, Any, Any, Array]:
-    """Return the events of traced paths for `path_tracing.Batch`, not yet path by path, and counts.
+    """Return the wall hits and receptions of traced paths for `path_tracing.Batch`, and counts.
 
-    Those are the events, which of them belong to the paths one after the other, and where each path
-    begins there; lengths and weights of the receptions, and which of them belong to the paths.
+    The first three values are the codes of the events (hits and receptions) of all paths, the places of
+    path after path among these, and where each path begins there. The next three are the lengths in m
+    and the weights of the receptions, and the places of path after path among these. The last are four
+    counts: paths lost; free paths, the sum of their lengths and of the squares. A path that hits no
+    wall is lost, and none of its events is kept.
 
     ``order`` has the triangles' numbers, those of a plane together, and ``begins`` where each plane
     begins (`rtcal.simulators.path_tracing.by_plane`). ``owners`` has the face of each triangle,
     ``scattering`` the coefficient of each face. Paths whose number 2^i does not divide end at i times
-    the length ``thinned``; receptions after it count 1 / ``shares[i]`` times.
-    ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is
-    lost: none of its events is kept.
+    the length ``thinned`` in m; receptions of the others then count 1 / ``shares[i]`` times.
     """
     # Arrays are made here: making one in the compiled function takes numba a tenth of a second.
     n_paths, n_receivers, n_planes = len(directions), len(receivers), len(begins) - 1
@@ -176,8 +177,8 @@ def advance(
 ) -> bool:
     """Trace paths until all have ended or the arrays are full; return whether all have ended.
 
-    The paths, the walls and the arrays are as in `trace`, which makes them. ``at`` has the number of
-    paths that have begun, of those on their way, of events and of receptions.
+    `trace` makes the paths, the walls and the arrays. ``at`` has four numbers: paths that have begun,
+    paths that have not ended, events, and receptions.
     """
     origin, directions, seeds, longest, thinned, shares = of_paths
     planes, order, begins, sides, owners, scattering = walls
@@ -300,10 +301,11 @@ def advance(
 
 
 def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
-    """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins).
+    """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins), in 1/m².
 
-    The air's attenuation is that to the middle of a bin, times a series within the bin. So no reception
-    takes an exponential.
+    ``batch`` are the paths, and ``weighing`` has the logarithms of the reflection factors, the air's
+    attenuation in 1/m and the time bins as lengths in m. To avoid an exponential per reception, the air
+    attenuates up to the middle of a bin, and by a series within the bin.
     """
     n_receivers, n_bands, n_bins = out.shape
     sums = np.zeros((n_receivers, n_bins, n_bands))
@@ -357,9 +359,9 @@ def histogram_gradient(
 ) -> None:
     """Add the energy at receivers to ``out``, and its sums weighted by wall hits to ``gradient``.
 
-    ``groups`` (n_codes,) is the group of each code of a wall hit, and ``counts`` (n_codes,) what a hit
-    adds to the sum. ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins,
-    n_groups, n_bands).
+    ``batch`` and ``weighing`` are as in `histogram`. ``groups`` (n_codes,) is the group of each code of
+    a wall hit, and ``counts`` (n_codes,) the number that a hit adds to the group's weight. ``out`` is
+    (n_receivers, n_bands, n_bins), and ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
     """
     _, _, n_groups, n_bands = gradient.shape
     level, sums = np.empty((2, n_bands)), np.empty(n_groups)
@@ -442,9 +444,10 @@ def histogram_changed(
 ) -> None:
     """Add to ``out`` the energy at receivers if the absorption of a group of faces is changed.
 
-    ``held`` (n_codes, n_groups) is 1 where the face of a code belongs to a group, else 0. ``powers``
-    (n_groups, n_hits, n_changes, n_bands) multiply the energy after as many hits on a group. ``out``
-    (n_groups, n_receivers, n_bins, n_changes, n_bands).
+    ``batch`` and ``weighing`` are as in `histogram`. ``held`` (n_codes, n_groups) is 1 if the face of a
+    code belongs to a group, else 0. ``powers`` (n_groups, n_hits, n_changes, n_bands) are the factors
+    of the energy after 0, 1, 2, ... hits on a group. ``out`` is (n_groups, n_receivers, n_bins,
+    n_changes, n_bands).
     """
     n_groups, n_hits, _, n_bands = powers.shape
     n = len(batch[2])
@@ -545,9 +548,9 @@ def weigh(
 ) -> Array:
     """Return the energy of image sources in each time bin, (n_bands, n_bins).
 
-    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
-    ``rows``, ``starts``, ``bins`` and ``weights`` as in `rtcal.simulators.shoebox.Images`. Unsigned
-    indices need no check for negative values, which would take half of the time.
+    ``x``, ``y`` and ``z`` (n_bands, n_lattice) are the products of (1 - alpha) over the hits along each
+    axis. ``rows``, ``starts``, ``bins`` and ``weights`` are those of `rtcal.simulators.shoebox.Images`.
+    Unsigned indices need no check for negative values, which would take half of the time.
     """
     out = np.zeros((len(x), n_bins))
     for run in range(len(rows)):
@@ -572,8 +575,10 @@ def blocks(
 ) -> Array:
     """Return the response (n_bands, n) of a delay network, computed in blocks of its smallest delay.
 
-    ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
-    n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains.
+    Delays are in samples: ``delays`` (6, 5) from node to node, ``source_delays`` (6,) from the source
+    and ``tap_delays`` (6,) to the receiver. The other arrays are gains per band: ``lines`` (6, 5,
+    n_bands) between nodes, ``reflection`` at a node, ``injected`` from the source and ``heard`` at the
+    receiver, (6, n_bands) each.
     """
     n_bands = lines.shape[2]
     block, longest = delays.min(), delays.max()

@@ -66,8 +66,8 @@ RADIUS_SHARE = 0.075
 class Tracer(RoomSimulator, ABC):
     """Base of simulators that trace rays or paths through a `Polyhedron`, in independent batches.
 
-    `PathTracing` and `RayTracing` describe the parameters. ``made_of`` (n_faces,) is the number of each
-    face's material.
+    `PathTracing` and `RayTracing` describe the parameters. ``made_of`` (n_faces,) is, for each face,
+    the row of its material in the room.
     """
 
     geometry: Polyhedron
@@ -124,18 +124,18 @@ class Tracer(RoomSimulator, ABC):
 
     @abstractmethod
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
-        """Return energy decays for coefficients ``alpha``, by batch of the paths, in 1/m².
+        """Return energy decays of ``seconds`` s for coefficients ``alpha``, by batch of paths, in 1/m².
 
-        Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins); they last ``seconds`` s.
-        Raises DataError for ``seconds`` above `LONGEST`.
+        Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins). ``alpha`` is (n_materials,
+        n_bands). Raises DataError for ``seconds`` above `LONGEST`.
         """
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return the parameters at each pair for coefficients ``alpha`` (n_materials, n_bands).
 
         EDT, T20, C50 and C80 have the standard uncertainty that follows from the number of paths.
-        Decays are traced until they are long enough for T20; TooShortError is raised if a decay of
-        `LONGEST` is too short. Raises DataError for a negative seed, and as
+        Decays are traced until they are long enough for T20. Raises TooShortError if a decay of the
+        length `LONGEST` is too short for T20, DataError for a negative seed, and the errors of
         `rtcal.simulators.base.check_alpha`.
         """
         alpha = check_alpha(self, alpha)
@@ -175,7 +175,8 @@ class Tracer(RoomSimulator, ABC):
 def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -> Array:
     """Return the decays of all bands, (..., n_bands, n_bins), from those of groups of bands.
 
-    They have as many time bins as the group with the fewest.
+    ``groups`` has the numbers of the bands of each group, and ``decays`` the energy decays of each
+    group, (..., n_bands of the group, n_bins). The result is cut to the time bins that all groups have.
     """
     n_bins = min([group.shape[-1] for group in decays])
     out = np.empty((*decays[0].shape[:-2], sum(map(len, groups)), n_bins))
@@ -192,10 +193,10 @@ def check_seconds(seconds: float) -> float:
 
 
 def check_walls(geometry: Polyhedron, room: Room) -> NDArray[np.int64]:
-    """Return the number of each face's material, (n_faces,), once geometry and room are compared.
+    """Return the row in the room of each face's material, (n_faces,), once both are compared.
 
-    Raises DataError for a material of a face that the room lacks, for a volume that differs by more
-    than `OFF_VOLUME`, and as `refuse_other_unit`.
+    Raises DataError if the room lacks the material of a face, if the volumes of geometry and room
+    differ by more than `OFF_VOLUME`, and for the reasons of `refuse_other_unit`.
     """
     room.refuse_pieces("a tracing")
     rows = room.material_rows(geometry.materials)
@@ -210,9 +211,9 @@ _UNITS = (*(10.0**k for k in range(-6, 4)), 0.0254, 0.3048, 0.9144)
 
 
 def refuse_other_unit(geometry: Polyhedron, room: Room) -> None:
-    """Raise DataError if the volume or an area is that of the geometry in another unit.
+    """Raise DataError if the room's volume or an area is that of the geometry in another unit.
 
-    So it is for a power of ten, where a unit or a decimal point is wrong.
+    A value that differs by a power of ten counts as one in another unit, or with a wrong decimal point.
     """
     owned = _face_areas(geometry, room)
     length = float(np.cbrt(room.volume / geometry.volume))
@@ -257,9 +258,9 @@ def volume_doubt(geometry: Polyhedron, room: Room) -> str:
 
 
 def area_doubt(geometry: Polyhedron, room: Room) -> str:
-    """Return a sentence on areas that differ from the geometry by more than `OFF_VOLUME`, or "".
+    """Return a sentence on the room's areas that differ from the geometry's by more than `OFF_VOLUME`.
 
-    Materials that the geometry lacks, such as small objects, do not count.
+    It is "" if there are none. Materials that the geometry lacks, such as small objects, do not count.
     """
     own = _face_areas(geometry, room)
     off = [i for i in np.flatnonzero(own).tolist() if abs(room.areas[i] / own[i] - 1) > OFF_VOLUME]
@@ -299,10 +300,11 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
 
 
 def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
-    """Return the standard error of an estimate from the mean over n independent batches (axis 0).
+    """Return the standard error of an estimate from the mean over n independent batches.
 
-    It is sqrt((n - 1)/n sum (estimate_i - mean)²), where estimate_i leaves out batch i (Efron & Stein
-    1981), and NaN (unknown) if an estimate_i is not finite.
+    ``estimate`` is a function of this mean, and the first axis of ``batches`` is that of the batches.
+    The error is sqrt((n - 1)/n sum (estimate_i - mean)²), where estimate_i leaves out batch i (Efron &
+    Stein 1981), and NaN (unknown) if an estimate_i is not finite.
     """
     n = len(batches)
     total = batches.sum(axis=0)
@@ -315,10 +317,11 @@ def jackknife(estimate: Callable[[Array], Array], batches: Array) -> Array:
 def measurement(
     energy: Array, bin_width: float, centre_frequencies: Array, pairs: Sequence[tuple[str, str]]
 ) -> Measurement:
-    """Return the parameters of energy decays (n_batches, n_pairs, n_bands, n_bins).
+    """Return the room-acoustic parameters of energy decays (n_batches, n_pairs, n_bands, n_bins).
 
-    They are those of the mean over the batches. The uncertainty of EDT, T20, C50 and C80 is the
-    standard error from the batches (`jackknife`).
+    The parameters are those of the mean decay over the batches. The uncertainty of EDT, T20, C50 and
+    C80 is the standard error from the batches (`jackknife`). ``bin_width`` is in s, the frequencies are
+    in Hz.
     """
     noise = {
         key: jackknife(partial(o.value, bin_width=bin_width), energy)
@@ -345,9 +348,11 @@ def decay_long_enough(
     parameter: DecaySlope = TARGET,
     most: float = LONGEST,
 ) -> Array:
-    """Return decays that are long enough for a parameter, (n_batches, ...), from ``trace(seconds)``.
+    """Return energy decays that are long enough for a parameter, (n_batches, ...).
 
-    ``seconds`` is first Eyring's T for alpha, and is doubled up to ``most``.
+    ``trace`` is a function that returns decays of a given length in s. The length is first Eyring's T
+    for ``alpha`` (n_materials, n_bands), and is doubled until the mean decay is long enough for
+    ``parameter``, but not beyond ``most`` in s.
     """
     most = min(most, LONGEST)
     seconds = min(eyring_seconds(room, alpha), most)
@@ -374,9 +379,10 @@ LARGEST_CODE = int(np.iinfo(np.uint16).max)
 class Batch:
     """Paths from one source, with their wall hits and their receptions in order.
 
-    ``events[starts[i]:starts[i + 1]]`` are those of path i. A wall hit is the number of the face, plus
-    n_faces if the path was scattered in the model "random". A reception is 2 n_faces + receiver.
-    ``lengths`` (m) and ``weights`` (1/m²) have one value per reception. All arrays are read-only.
+    ``events[starts[i]:starts[i + 1]]`` are the hits and receptions of path i, as codes. The code of a
+    wall hit is the number of the face, plus n_faces if the path was scattered in the model "random".
+    The code of a reception is 2 n_faces plus the number of the receiver. ``lengths`` in m and
+    ``weights`` in 1/m² have one value per reception. All arrays are read-only.
     """
 
     events: NDArray[np.uint16]
@@ -401,11 +407,11 @@ class Batch:
 class Paths:
     """Paths from every source to every receiver, in independent batches of equal size.
 
-    `trace` returns them. Its methods return energies and derivatives for ``alpha``, the coefficients
-    (n_materials, n_bands), ``air_attenuation`` in 1/m, (n_bands,), and ``bin_length``, the width of the
-    time bins times the speed of sound, in m. The first bin starts with the first sound, and there are
-    as many bins as all pairs have. Energy is per area, in 1/m², for a source of unit energy, so that
-    the direct sound is 1/(4 pi r²). The spread of the batches gives the standard error.
+    `trace` returns them. Their methods return energies and derivatives. ``alpha`` (n_materials,
+    n_bands) are the coefficients, ``air_attenuation`` (n_bands,) is in 1/m, and ``bin_length`` in m is
+    the width of the time bins times the speed of sound. The first bin starts with the first sound, and
+    there are as many bins as all pairs have. Energy is per area, in 1/m², for a source of unit energy,
+    so that the direct sound is 1/(4 pi r²). The scatter of the batches gives the standard error.
     """
 
     batches: tuple[tuple[Batch, ...], ...]  # by source
@@ -430,8 +436,8 @@ class Paths:
     def aimed(self, lobes: Mapping[int, Directivity], to_receivers: Array) -> Paths:
         """Return the same paths, weighted by the directivities of the sources.
 
-        ``lobes`` are the directivities in one band, by the number of the source; ``to_receivers``
-        (n_sources, n_receivers, 3) is the direction of the direct sound.
+        ``lobes`` are the directivities in one band, by the number of the source. ``to_receivers``
+        (n_sources, n_receivers, 3) are the directions from source to receiver.
         """
         batches, direct_gain = list(self.batches), self.direct_gain.copy()
         for s, lobe in lobes.items():
@@ -465,9 +471,9 @@ class Paths:
 
     @property
     def free_paths(self) -> tuple[float, float]:
-        """Mean and relative variance of the free paths between two reflections.
+        """Mean in m and relative variance of the free paths between two reflections.
 
-        The mean is in m, and 4V/S in a diffuse field. The relative variance is Kuttruff's gamma².
+        In a diffuse field the mean is 4V/S. The relative variance is Kuttruff's gamma².
         """
         every = np.sum([b.free_paths for source in self.batches for b in source], axis=0)
         number, total, squares = map(float, every)
@@ -481,11 +487,11 @@ class Paths:
     def energy(
         self, alpha: Array, air_attenuation: Array, bin_length: float, number: int | None = None
     ) -> Array:
-        """Return the energy at each receiver, from groups of the batches.
+        """Return the energy at each receiver in 1/m², from groups of the batches.
 
-        It is (number, n_sources, n_receivers, n_bands, n_bins); the mean over the groups is the
-        estimate. ``number`` is the number of groups, by default that of the batches, which it must
-        divide.
+        The energy is (number, n_sources, n_receivers, n_bands, n_bins), and its mean over the groups is
+        the estimate. ``number`` is the number of groups, which must divide that of the batches; None
+        for one group per batch. `Paths` describes the other arguments.
         """
         from rtcal.simulators import kernels
 
@@ -512,14 +518,16 @@ class Paths:
         bin_length: float,
         number: int | None = None,
     ) -> tuple[Array, Array]:
-        """Return the energies of one source, and their derivatives by absorption or by scattering.
+        """Return the energies of one source in 1/m², and their derivatives by absorption or scattering.
 
-        The energy (n_receivers, n_bands, n_bins) is the mean over the batches. The derivatives are
-        (number, n_receivers, n_bins, n_materials, n_bands), without materials after the last that a
-        face has. Without a ``number`` they are by alpha, which must be below 1. With a ``number`` they
-        are by the log odds ln(s / (1 - s)) of each material's scattering s, for as many independent
-        groups of the batches, which it must divide. They are 0 where s is 0 or 1. Raises DataError for
-        a ``number`` if the scattering model is not "random".
+        ``source`` is the number of the source. The energy (n_receivers, n_bands, n_bins) is the mean
+        over the batches. The derivatives are (number, n_receivers, n_bins, n_materials, n_bands),
+        without materials after the last that a face has. If ``number`` is None, they are by alpha,
+        which must be below 1, and their first axis has the length 1. If ``number`` is given, they are
+        by the log odds ln(s / (1 - s)) of each material's scattering s, for this number of independent
+        groups of the batches, and 0 where s is 0 or 1. ``number`` must divide the number of batches.
+        Raises DataError for a ``number`` if the scattering model is not "random". `Paths` describes the
+        other arguments.
 
         A path that a material scattered d times and reflected r times without scattering has a
         probability proportional to s^d (1 - s)^r, so that the derivative by the log odds is its energy
@@ -565,12 +573,13 @@ class Paths:
         groups: NDArray[np.bool_],
         changed: Array,
     ) -> Array:
-        """Return the energy at receivers if the coefficients of a group of materials change.
+        """Return the energy at receivers in 1/m² if the coefficients of a group of materials change.
 
-        It is (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins), the mean over the batches.
-        ``groups`` (n_groups, n_materials) says which materials are in a group. ``changed`` (n_changes,
-        n_materials, n_bands) are the coefficients of the materials in the changed group, below 1. The
-        computation is fast if all materials of a group change by the same factor of 1 - alpha.
+        The energy is (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins), the mean over the
+        batches. ``groups`` (n_groups, n_materials) is True for the materials of a group. ``changed``
+        (n_changes, n_materials, n_bands) are the coefficients, below 1, that the materials of the
+        changed group then have. The computation is fast if 1 - alpha changes by the same factor in all
+        materials of a group. `Paths` describes the other arguments.
         """
         weights = self._weights(alpha, air_attenuation, bin_length)
         ratio = (1 - changed) / (1 - alpha)
@@ -679,10 +688,11 @@ class Chords(NamedTuple):
 
     @property
     def least_alpha(self) -> float:
-        """Least mean alpha at which at most `MOST_LEAKED` of the paths leave through holes.
+        """Least mean alpha of a room at which at most `MOST_LEAKED` of the paths leave through holes.
 
-        In the T of Eyring a path has -ln(10⁻⁶) / -ln(1 - alpha) reflections, 130 at 0.1. The share of
-        rays that leave counts with its standard uncertainty.
+        A path is followed until its energy has fallen by 60 dB, which by Eyring takes -ln(10⁻⁶) / -ln(1
+        - alpha) reflections, 130 at alpha = 0.1. The share of rays that leave counts with its standard
+        uncertainty.
         """
         lost = self.lost + self.area_uncertainty / self.area
         if lost == 0:
@@ -765,22 +775,23 @@ def trace(
     """Return ``n_paths`` paths from each source, traced in independent batches.
 
     A path that leaves through a gap between faces is left out, and the other paths of its source count
-    more. Receivers are spheres of radius r. A path without a diffuse reflection has the weight
-    1 / (L² solid angle), with the sphere's solid angle at its image source, every other path the weight
-    1 / (pi r²). The expected energy is then that at the receiver's centre for any radius, unless an
-    edge hides a part of the sphere. The direct sound is calculated.
+    more. Receivers are spheres of radius r. A path without a diffuse reflection has the weight 1 / (L²
+    solid angle), with the sphere's solid angle at its image source and its length L; every other path
+    has the weight 1 / (pi r²). The expected energy is then that at the receiver's centre for any
+    radius, unless an edge hides a part of the sphere. The direct sound is calculated.
 
-    Sources and receivers (n, 3) are inside the room, in m; ``radii`` (n_receivers,) no more than the
-    distance to the nearest wall. ``materials`` (n_faces,) are the numbers of the faces' materials,
-    ``scattering`` is (n_materials,). Each path is followed to the length ``longest`` in m.
+    ``sources`` and ``receivers`` (n, 3) are inside the room, in m; ``radii`` (n_receivers,) in m are at
+    most the distance to the nearest wall. ``materials`` (n_faces,) is the number of each face's
+    material, and ``scattering`` (n_materials,) its coefficient. Each path is followed to the length
+    ``longest`` in m. ``workers`` is the number of threads, None for that of the processors.
 
     The same seed gives the same paths for any ``longest`` and ``workers``. After the length ``thinned``
     in m, and after each further such length, every second path ends, until 1 in 2**`HALVINGS` is left,
     or few. The remaining paths count twice each time (Russian roulette, Spanier & Gelbard 1969), so
     that the expected energy is the same.
 
-    Raises DataError if more than `MOST_LOST` of the paths hit no wall, or `MOST_LEAKED` in a geometry
-    with ``leaks``, because the faces leave gaps or cut each other; also for too many faces and
+    Raises DataError if more than `MOST_LOST` of the paths, or `MOST_LEAKED` in a geometry with
+    ``leaks``, hit no wall, because the faces leave gaps or cut each other; also for too many faces and
     receivers.
     """
     from rtcal.simulators import kernels
@@ -863,10 +874,10 @@ def _first(
 
 
 def planes_of(geometry: Polyhedron) -> tuple[Array, Array]:
-    """Return the plane of each triangle (inward normal, offset) and two functions of its sides.
+    """Return the plane of each triangle (inward normal, offset in m) and two functions of its sides.
 
-    A point x of the plane is in the triangle if n·x - d is 0 or more for both rows (n, d) of ``sides``
-    (n_triangles, 2, 4), and their sum is at most 1 (Havel & Herout 2010).
+    A point x of the plane is in the triangle if n·x - d is 0 or more for both rows (n, d) of the
+    triangle's functions, (n_triangles, 2, 4), and their sum is at most 1 (Havel & Herout 2010).
     """
     a, b, c = np.moveaxis(geometry.triangles, 1, 0)
     u, v = b - a, c - a
@@ -1050,8 +1061,9 @@ class PathTracing(Tracer):
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
         """Return the parameters that can be used although the directivity of a source is unknown.
 
-        Early sound and the level near a loudspeaker depend on its direction; T20 and T30 hardly do.
-        Raises DataError if no parameter can be used.
+        ``match`` are keys of parameters, such as ``"c80"``. Early sound and the level near a
+        loudspeaker depend on its directivity; T20 and T30 hardly do. Raises DataError if none of them
+        can be used.
         """
         names = base.checked_parameters(match)
         kept = tuple(n for n in names if not self.unknown_sources or OBSERVABLES[n].part == "late")
@@ -1080,12 +1092,12 @@ class PathTracing(Tracer):
         return replace(self, room=self.room.with_air(air))
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> PathTracing:
-        """Return the path tracing with `DENSER` times ``factor`` as many paths and less noise.
+        """Return the path tracing with `DENSER` times ``factor`` as many paths, and so less noise.
 
-        Paths end one after the other as the sound decays (``thinned``), so that the time is about the
-        same. The default radius of receivers becomes `LARGER` times the cube root of the volume.
-        A tracing that is thinned already has ``factor`` times its paths. ``n_batches`` is the new
-        number of batches.
+        It takes about the same time, because paths end one after the other as the sound decays
+        (``thinned``). The default radius of receivers becomes `LARGER` times the cube root of the
+        volume. If this tracing is thinned already, the new one has only ``factor`` times its paths.
+        ``n_batches`` is the new number of batches, None for the present one.
         """
         checks.whole("factor", factor, 1)
         n_batches = n_batches or self.n_batches
@@ -1104,7 +1116,7 @@ class PathTracing(Tracer):
     def aimed(self, directivity: Mapping[str, Directivity]) -> PathTracing:
         """Return the path tracing with other directivities of some sources, and with the same paths.
 
-        Each directivity must have a value per band.
+        ``directivity`` has these directivities by the name of the source, each with a value per band.
         """
         for name, of in checks.mapped("directivity", directivity).items():
             checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
@@ -1118,9 +1130,10 @@ class PathTracing(Tracer):
         return changed
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
-        """Trace the paths for ``factor`` times Eyring's T for coefficients ``alpha``.
+        """Trace paths for ``factor`` times Eyring's T, which later simulations with this seed use.
 
-        Later simulations with this seed reuse them, unless a decay needs longer paths.
+        ``alpha`` (n_materials, n_bands) are the coefficients of this T. If a decay needs longer paths,
+        a later simulation traces again.
         """
         alpha = check_alpha(self, alpha)
         seconds = min(checks.positive("factor", factor) * eyring_seconds(self.room, alpha), LONGEST)
@@ -1131,7 +1144,7 @@ class PathTracing(Tracer):
     def lost_share(self) -> float:
         """Largest share of paths that left through gaps of the geometry, and are left out.
 
-        It is that of the paths in memory; 0 before the first simulation.
+        The share is that of the paths in memory, and 0 before the first simulation.
         """
         return max((traced.lost_share for traced in self._traced.values()), default=0.0)
 
@@ -1141,9 +1154,10 @@ class PathTracing(Tracer):
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
         Their shape is (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is the number of
-        groups into which the batches of paths are divided, by default ``n_batches``. The first bin
-        starts with the first sound, and decays end at least ``seconds`` after the emission. Raises
-        DataError for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, or another ``number``.
+        groups into which the batches of paths are divided; None for one group per batch. The first bin
+        starts with the first sound, and decays end at least ``seconds`` s after the emission. Raises
+        DataError for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, and for a ``number``
+        that does not divide ``n_batches``.
         """
         self._check_groups(1 if number is None else number)
         alpha = check_alpha(self, alpha)
@@ -1158,8 +1172,9 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the decays of all bands, (..., n_bands, n_bins), from the paths of groups of bands.
 
-        ``sweep`` returns those of some bands, (..., n_some, n_bins), from their paths, which are traced
-        for ``seconds`` or longer.
+        ``sweep`` is a function of the paths and the numbers of the bands of one group, which returns
+        their decays, (..., n_bands of the group, n_bins). The paths are traced for ``seconds`` s or
+        longer.
         """
         groups = self.bands_of_paths
         decays = [sweep(self.traced(int(b[0]), seconds, seed=seed), b) for b in groups]
@@ -1175,8 +1190,9 @@ class PathTracing(Tracer):
     ) -> Observations:
         """Return the parameters at each pair as `Observations`, for alpha (n_materials, n_bands).
 
-        The level is G of a source of known power. Raises as `simulate`, and `TooShortError` if the
-        paths in memory are too short and ``again`` forbids to trace longer ones.
+        ``match`` are keys of the parameters. The level is G of a source of known power. If ``again`` is
+        False, longer paths than those in memory are not traced. Raises the errors of `simulate`, and
+        TooShortError if the paths in memory are then too short.
         """
         most = LONGEST
         if not checks.flag("again", again):
@@ -1190,7 +1206,8 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the parameters from groups of the paths, (number, n_parameters, n_pairs, n_bands).
 
-        The differences between groups are noise. ``number`` must divide ``n_batches``.
+        The differences between groups are noise. ``number`` is the number of groups, which must divide
+        ``n_batches``; ``match`` are keys of the parameters.
         """
         return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
@@ -1223,10 +1240,10 @@ class PathTracing(Tracer):
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
         """Return the derivatives of `observe` by alpha, (n_parameters, n_pairs, n_bands, n_materials).
 
-        They follow from the paths, because the energy E of a path that hit material j n times has
-        dE / d alpha_j = -n E / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times from
-        few paths change with alpha in small steps, and the derivatives are those of the mean over the
-        steps. Raises as `simulate`.
+        They follow from the paths, because the energy E of a path that hit material j n times has dE /
+        d alpha_j = -n E / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times from few
+        paths change with alpha in small steps, and the derivatives are those of the mean over the
+        steps. Arguments and errors are those of `observe`.
         """
         alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
         return np.asarray(self._derivatives(alpha, match, seed, Paths.gradient)[0])
@@ -1237,8 +1254,9 @@ class PathTracing(Tracer):
         """Return the derivatives of `observe` by the scattering coefficient s of each material.
 
         They are by the log odds ln(s / (1 - s)), which change equally in all bands, and 0 for s = 0 or
-        1. They come from ``number`` independent groups of paths: the mean is the derivative, and the
-        differences are noise. ``number`` must divide ``n_batches``. See `Paths.gradient`.
+        1. They come from ``number`` independent groups of paths, where ``number`` must divide
+        ``n_batches``: the mean over the groups is the derivative, and the differences are noise. See
+        `Paths.gradient`.
 
         Returns
         -------
@@ -1298,10 +1316,10 @@ class PathTracing(Tracer):
         return out.reshape(number, len(match), len(self.pairs), self.room.n_bands, n_unknowns)
 
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> Paths:
-        """Return the paths of a band, traced for ``seconds`` or longer.
+        """Return the paths of a band, traced for ``seconds`` s or longer.
 
-        Paths are reused while the seed stays the same. Raises DataError for ``seconds`` above
-        `rtcal.simulators.path_tracing.LONGEST`.
+        ``band`` is the number of the band, from 0. Paths in memory are used while the seed stays the
+        same. Raises DataError for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`.
         """
         if checks.whole("band", band, 0) >= self.room.n_bands:
             raise DataError(

@@ -137,7 +137,8 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     def observe(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Observations:
         """Return the parameters at each pair as `Observations`, for alpha (n_materials, n_bands).
 
-        The level is G of a source of known power. The seed has no effect. Raises as `simulate`.
+        ``match`` are keys of the parameters. The level is G of a source of known power. ``seed`` has no
+        effect. Raises the errors of `simulate`.
         """
         checks.whole("seed", seed, 0)
         match = base.checked_parameters(match)
@@ -187,7 +188,7 @@ _MOST_IMAGES = 50_000_000
 class Images(NamedTuple):
     """Image sources of one source for one receiver; the arrays are read-only.
 
-    A run is a sequence of images that differ only in their position along the last axis.
+    Images are sorted in runs: the images of a run differ only in their position along the last axis.
     """
 
     hits: tuple[NDArray[np.int64], ...]
@@ -327,11 +328,12 @@ class ImageSource(ShoeboxSimulator):
 def lattice(
     dimensions: Array, source: Array, radius: float
 ) -> tuple[list[Array], list[NDArray[np.int64]]]:
-    """Return coordinates and wall hits of image sources by axis, at least up to ``radius`` m.
+    """Return coordinates and wall hits of image sources along each axis, at least up to ``radius`` m.
 
-    Coordinates (n_lattice,) in m increase. Hits (n_lattice, 2) count the near and the far wall: the
-    image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L
-    (Allen & Berkley 1979, Eq. 10).
+    The coordinates (n_lattice,) in m increase. The hits (n_lattice, 2) are the numbers of reflections
+    at the near and the far wall: the image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0
+    and |n| times in the wall at L (Allen & Berkley 1979, Eq. 10). ``dimensions`` and ``source`` (3,)
+    are in m.
     """
     coordinates, hits = [], []
     for length, x in zip(dimensions, source, strict=True):
@@ -392,9 +394,9 @@ _NEIGHBOUR = np.array([[j + (j >= k) for j in range(_PORTS)] for k in range(_NOD
 class Network(NamedTuple):
     """Delays in samples and lengths in m of the delay network of one source-receiver pair.
 
-    ``lines`` and ``line_lengths`` (6, 5) lead from node to node, ``source_delays`` and
-    ``source_lengths`` (6,) from the source to the nodes, ``tap_delays`` and ``tap_lengths`` (6,)
-    from the nodes to the receiver.
+    ``lines`` and ``line_lengths`` (6, 5) are those from node to node, ``source_delays`` and
+    ``source_lengths`` (6,) those from the source to the nodes, and ``tap_delays`` and ``tap_lengths``
+    (6,) those from the nodes to the receiver.
     """
 
     lines: NDArray[np.int64]

@@ -49,9 +49,10 @@ def exports(
 
 
 def library(message: str, name: str, *further: str) -> Any:
-    """Return an optional library, with further modules of it imported.
+    """Return an optional library, with its ``further`` modules imported.
 
-    Raises MissingDependencyError with the message where it is not installed.
+    ``name`` is that of the library. If it is not installed, raises MissingDependencyError with
+    ``message``.
     """
     try:
         for module in further:

@@ -21,8 +21,8 @@ _STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark n
 class Row:
     """Hold a row of a printed table.
 
-    Its values are numbers, with None or NaN for a missing one, or texts. ``form`` is the format of a
-    number; with "+" in it, 0 still has no sign.
+    ``values`` are numbers, with None or NaN for a missing one, or texts. ``form`` is the format of a
+    number; with "+" in it, positive numbers have a sign, and 0 has none.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Row:
 
     @property
     def styles(self) -> list[str]:
-        """The ground of each value in CSS, "" where there is no shade.
+        """CSS of each value's background, "" for a value without shade.
 
         Examples
         --------
@@ -67,7 +67,7 @@ class Row:
 
     @property
     def typeset(self) -> list[str]:
-        """The values as a page has them, with a minus and a dash.
+        """Texts of the values on a page, with a true minus sign, and a dash for a missing value.
 
         Examples
         --------
@@ -82,10 +82,11 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Hold a printed table, with a title above and a note below; ``corner`` heads the rows' names.
+    """Hold a printed table, with a title above and a note below.
 
-    ``most`` are the numbers of the rows that are printed, if not all; a workbook has all. A table with
-    ``detail`` is shown in notebooks and pages, and not in a terminal.
+    ``corner`` is the head of the column of the rows' names. ``most`` has the numbers of the rows that
+    are printed, None for all; a workbook has all rows. A table with ``detail`` True is shown in
+    notebooks and on pages, but not in a terminal.
     """
 
     columns: Sequence[str]
@@ -118,9 +119,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Note:
-    """Hold a sentence of a result; a terminal indents it, and "" is an empty line there.
+    """Hold a sentence of a result.
 
-    ``kind`` is its class on a page: "lead" for the first sentences, "note" for a remark.
+    A terminal indents the sentence, and shows "" as an empty line. ``kind`` is the class of the
+    sentence on a page: "lead" for the first sentences, "note" for a remark.
     """
 
     text: str

@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 def number(place: str, value: object) -> float:
-    """Return a real number as a float; DataError for anything else, also text and True.
+    """Return a real number as a float; DataError for any other value, even for a text and for True.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def positive(place: str, value: object, unit: str = "") -> float:
 def between(
     place: str, value: object, least: float, most: float, unit: str = "", why: str = ""
 ) -> float:
-    """Return a number from ``least`` to ``most`` as a float; DataError, which ends with ``why``, else.
+    """Return a number from ``least`` to ``most`` as a float; DataError, with ``why``, for any other.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def stack_level() -> int:
 
 
 def public_name(thing: Any) -> str:
-    """Return the name under which a user has a class or function: of the outermost package with it.
+    """Return the name by which a user imports a class or function: of the outermost package with it.
 
     Examples
     --------
@@ -157,7 +157,8 @@ def public_name(thing: Any) -> str:
 def array(place: str, value: object) -> Array:
     """Return real numbers as an array; a float array is not copied.
 
-    DataError for anything else, also true and false, and for a masked array with masked entries.
+    ``place`` is the name of the value in messages. Raises DataError for any other value, also for true
+    and false, and for a masked array with masked entries.
     """
     if np.ma.isMaskedArray(value) and np.ma.getmaskarray(value).any():
         raise DataError(
@@ -176,9 +177,10 @@ def array(place: str, value: object) -> Array:
 
 
 def shaped(place: str, value: object, *shape: int | str) -> Array:
-    """Return real numbers as an array of a shape; an axis that is named may have any length.
+    """Return real numbers as a read-only array, once its shape is checked.
 
-    Read-only, so that what was checked stays.
+    ``shape`` has the length of each axis, or a name for an axis that may have any length. ``place`` is
+    the name of the value in messages. The array is read-only so that it stays as it was checked.
     """
     found = array(place, value)
     fits = found.ndim == len(shape)
@@ -292,7 +294,7 @@ def short_name(place: str, value: object) -> str:
 
 @lru_cache
 def without_looks(name: str) -> str:
-    r"""Return a name without invisible differences: upper case, blanks, width, characters of no width.
+    r"""Return a name without differences that are hard to see: case, blanks, width, unseen characters.
 
     Examples
     --------
@@ -305,7 +307,7 @@ def without_looks(name: str) -> str:
 
 
 def look_alike(names: Iterable[str]) -> tuple[str, str] | None:
-    """Return two different names that are one `without_looks`; None if there are none.
+    """Return two different names that look the same by `without_looks`; None if there are none.
 
     Examples
     --------

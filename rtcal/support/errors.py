@@ -37,9 +37,9 @@ __dir__ = __all__.copy
 class RtcalError(Exception):
     """Catch every error that rtcal raises on purpose: the base class of these errors.
 
-    ``bands`` are the numbers of the bands that the error concerns, from 0, if it concerns only some.
-    ``loop`` is the `rtcal.loop.Loop` with all its steps, if the error ended
-    `rtcal.calibrate_simulator`.
+    ``bands`` are the numbers, from 0, of the bands that the error concerns, () if it is not about
+    single bands. ``loop`` is the `rtcal.loop.Loop` with all its steps, if the error ended
+    `rtcal.calibrate_simulator`, else None.
     """
 
     bands: tuple[int, ...] = ()
@@ -82,7 +82,7 @@ E = TypeVar("E", bound=RtcalError)
 
 
 def of_bands(error: E, bands: Iterable[int]) -> E:
-    """Return the error with the numbers of the bands that it concerns; other bands can go on.
+    """Return the error with the numbers, from 0, of the bands that it concerns.
 
     Examples
     --------

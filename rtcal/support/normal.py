@@ -22,9 +22,9 @@ FINE = np.polynomial.legendre.leggauss(80)
 def symmetric_root(covariance: Array) -> Array:
     """Return the symmetric square roots of covariances (..., n, n), by which normal values are drawn.
 
-    The signs of eigenvectors differ between processors and those of singular vectors do, too. Values
-    drawn along them would differ as well; this root has no sign to choose, and exists for a covariance
-    that is singular.
+    Other roots are made of eigenvectors or singular vectors, whose signs differ between processors, and
+    so would the values that are drawn. The symmetric root has no sign to choose, and exists for a
+    covariance that is singular, too.
     """
     values, vectors = np.linalg.eigh(covariance)
     scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., np.newaxis, :]
@@ -37,9 +37,11 @@ def truncated_normal(lower: Array, upper: Array, uniform: Array) -> Array:
 
 
 def quantile_and_mass(lower: Array, upper: Array, uniform: Array) -> tuple[Array, Array]:
-    """Return `truncated_normal` and the logarithm of the standard normal's probability of the interval.
+    """Return quantiles of a standard normal cut to an interval, and the logarithm of its mass there.
 
-    The logarithm is -inf where the interval is empty.
+    ``lower`` and ``upper`` are the ends of the interval, and ``uniform`` are the probabilities, 0 to 1,
+    of the quantiles within it (`truncated_normal`). The mass is the probability of the interval; its
+    logarithm is -inf if the interval is empty.
     """
     # The interval is mirrored to the lower side, where the tails keep all digits.
     turned = upper > -lower
@@ -68,8 +70,9 @@ def truncated_moments(
 ) -> tuple[Array, Array]:
     """Return mean and variance of a normal distribution cut to bounds, however far in its tail.
 
-    Gauss's rule about the density's peak, so that a density much narrower than the normal one keeps all
-    digits.
+    ``mean`` and ``variance`` are those of the normal distribution, ``lower`` and ``upper`` the bounds.
+    ``rule`` has the nodes and weights of Gauss's rule, which is applied about the peak of the density,
+    so that a density much narrower than the normal one keeps all digits.
     """
     (nodes, weights), sigma = rule, np.sqrt(variance)
     peak = np.clip(mean, lower, upper)

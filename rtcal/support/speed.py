@@ -53,11 +53,12 @@ def cores() -> int:
 
 @contextmanager
 def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
-    """Yield an executor of threads, as many as `cores` where ``workers`` is None.
+    """Yield an executor of threads, ``workers`` of them or, if it is None, as many as `cores`.
 
-    It is waited for, unless an exception ends the block: then what has not begun is dropped, and what
-    has begun ends by itself. Waiting could last for ever. Ctrl-C may strike the main thread while it
-    holds a future's lock, and Python never releases a lock taken in that moment.
+    At the end of the block the executor waits for all tasks. If an exception ends the block, tasks that
+    have not begun are dropped, and the others end by themselves without being waited for, because
+    waiting could last for ever: Ctrl-C may strike the main thread while it holds a future's lock, and
+    Python never releases a lock taken in that moment.
     """
     pool = ThreadPoolExecutor(workers or cores())
     try:
@@ -72,11 +73,11 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
 def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:
-    """Return the decorator that compiles a function; it runs without the interpreter's lock.
+    """Return the decorator that compiles a function, which then runs without the interpreter's lock.
 
-    ``reorder`` allows the compiler to reorder sums, which vector instructions need. Compensated sums
-    need it to be False. NaN and infinities are handled correctly in both cases. What is compiled is
-    kept on disk; where no folder can be written, it is compiled in every run.
+    ``reorder`` allows the compiler to reorder sums, which vector instructions need; for compensated
+    sums it must be False. NaN and infinities are handled correctly in both cases. The compiled function
+    is kept on disk; if no folder can be written, it is compiled in every run.
     """
     import numba
 
@@ -110,10 +111,11 @@ _IN_WORDS = "{desc}{n_fmt} of {total_fmt} {unit}s done in {elapsed}, about {rema
 def bar(
     count: int, unit: str, wanted: bool, say: Callable[[str], None] | None = None
 ) -> Iterator[Any]:
-    """Yield tqdm's bar of ``count`` steps on standard error, for ``update(1)``.
+    """Yield tqdm's progress bar of ``count`` steps on standard error; call its ``update(1)`` per step.
 
-    It appears after two seconds and says how long the rest will take. Without ``wanted`` there is no
-    bar, as for a log: ``say`` is called with the same in words after ten seconds, 30, 70 and so on.
+    ``unit`` is the name of a step. The bar appears after two seconds and shows how long the rest will
+    take. If ``wanted`` is False there is no bar, as for a log: ``say``, unless it is None, is called
+    with the progress in words after ten seconds, 30, 70 and so on.
     """
     from tqdm import tqdm
 

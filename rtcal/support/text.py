@@ -20,17 +20,18 @@ NARROWEST = 40
 def width() -> int:
     """Return the largest length of a line in characters: the terminal's width, at least 40.
 
-    Without a terminal, as in a pipe or a notebook, it is 80; the environment variable COLUMNS
-    overrides both.
+    Without a terminal, as in a pipe or a notebook, it is 80. The environment variable COLUMNS overrides
+    the terminal's width and this value.
     """
     return max(NARROWEST, shutil.get_terminal_size((USUAL, 24)).columns)
 
 
 def wrapped(sentence: str, indent: str = "", hanging: str | None = None) -> list[str]:
-    """Return a sentence as lines within `width`; ``hanging`` is put before all lines but the first.
+    """Return a sentence as lines within `width`, without breaking words.
 
-    By default it is the indent and two blanks. A word longer than a line is not broken, so that paths
-    and commands can be copied.
+    ``indent`` is put before the first line and ``hanging`` before all others; by default this is the
+    indent and two blanks. A word longer than a line is not broken, so that paths and commands can be
+    copied.
     """
     return textwrap.wrap(
         sentence,
@@ -85,7 +86,7 @@ def shell(command: str, indent: str = "") -> list[str]:
 
 
 def number(value: float, form: str) -> str:
-    """Return a number as printed: "-" where there is none, and no sign where it rounds to 0.
+    """Return a number in the format ``form``: "-" for a missing number, no sign if it rounds to 0.
 
     Examples
     --------
@@ -120,7 +121,7 @@ _MOST_DECIMALS = 6
 
 
 def rounded(value: float, digits: int) -> str:
-    """Return a value with so many significant digits and without an exponent.
+    """Return a value with a number of significant ``digits`` and without an exponent.
 
     >>> rounded(151.49, 2), rounded(10530.4, 4), rounded(0.0123, 2)
     ('150', '10530', '0.012')
@@ -133,10 +134,10 @@ def table(
 ) -> list[str]:
     """Return a table as lines within `width`: columns that do not fit follow in further blocks.
 
-    Rows are a label and cells, of which all have the same number; they are aligned to the right. The
-    header, of one or several such lines, stands above each block. Each column is as wide as its widest
-    cell, with ``gap`` blanks before it. A label that takes more than two fifths of a line stands on
-    lines of its own, above its cells.
+    Each of ``rows`` is a label and its cells; all rows have the same number of cells, which are aligned
+    to the right. ``header`` is one such line or several, which stand above each block, or None. Each
+    column is as wide as its widest cell, with ``gap`` blanks before it. A label that takes more than
+    two fifths of a line stands on lines of its own, above its cells.
 
     Examples
     --------
@@ -186,7 +187,7 @@ def shortened(text: str, longest: int = 40) -> str:
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
-    """Return names as a sentence lists them: a, b and c.
+    """Return names as a sentence lists them, with ``last`` before the last name: a, b and c.
 
     Examples
     --------
@@ -208,7 +209,7 @@ def as_sentence(words: str) -> str:
 
 
 def first_of(names: Sequence[str], most: int) -> str:
-    """Return some names in words: at most so many, and how many more there are.
+    """Return the first names in words, ``most`` at most, and how many more there are.
 
     Examples
     --------
@@ -224,7 +225,7 @@ _OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud
 
 
 def decimal_comma(text: str) -> str:
-    """Return words on the first decimal comma of a text that is no number; "" without one.
+    """Return advice on the first decimal comma in a text that is no number; "" without a comma.
 
     Examples
     --------
@@ -236,9 +237,9 @@ def decimal_comma(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    r"""Return a text with escaped control characters, which no terminal interprets.
+    r"""Return a text whose control characters are escaped, so that no terminal interprets them.
 
-    Line ends and tabs stay. Names and keys that are read from files may hold escape sequences.
+    Line ends and tabs stay. Names and keys that are read from files may contain escape sequences.
 
     Examples
     --------

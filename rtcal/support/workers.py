@@ -51,9 +51,9 @@ class Workers:
     ) -> Iterator[Any]:
         """Yield ``task(job)`` of each job, in the order of the jobs.
 
-        ``progress`` is called with the number of finished jobs and of all. A task of several ``steps``
-        is called with a function, too, that takes the number of its finished steps; ``progress`` then
-        counts the steps of all jobs.
+        ``progress`` is called with the number of finished jobs and the number of all jobs; None for no
+        calls. If a job has several ``steps``, the task is also given a function to call with the number
+        of finished steps of its job, and ``progress`` counts the steps of all jobs.
         """
         finished = dict.fromkeys(range(len(jobs)), 0) if steps else {}
 
@@ -80,16 +80,16 @@ class Workers:
 
 @contextmanager
 def workforce(scheduler: str | None = None, threads: int | None = None) -> Iterator[Workers]:
-    """Yield the workers of a Dask scheduler by its address, or else threads of this machine.
+    """Yield the workers of a Dask scheduler, or else threads of this machine.
 
-    There are as many ``threads`` as cores by default. A single one runs each task where it is handed
-    out, for tasks that use all cores by themselves.
+    ``scheduler`` is the scheduler's address; None for ``threads`` threads, by default as many as cores.
+    A single thread runs each task in the caller's thread, for tasks that use all cores by themselves.
 
     Raises
     ------
     ClusterError
         For an address of another form, a scheduler that does not answer or has no workers, and later if
-        it is lost or a task ends its workers.
+        the scheduler is lost or a task ends its workers.
     MissingDependencyError
         If Dask is not installed.
     """
