@@ -67,17 +67,18 @@ def calibrate_modes(
     Parameters
     ----------
     room : Room
-        Room with the input coefficients, and with a mesh, or dimensions and a surface per wall. The
-        errors of a material's coefficients an octave apart have the room's ``band_correlation``, or a
-        correlation of 0.8 if that is 0.
+        Room with the input coefficients, and with a mesh, or dimensions and a surface for each wall.
+        The errors of a material's coefficients an octave apart have the room's ``band_correlation``, or
+        a correlation of 0.8 if that is 0.
     modes : MeasuredModes or Responses
-        Measured modes, from `rtcal.modes.read` or `rtcal.modes.find_modes`, or impulse responses, from
-        `rtcal.io.sofa.read`, in which modes are found.
+        Measured modes, from `rtcal.modes.read` or `rtcal.modes.find_modes`; or impulse responses, from
+        `rtcal.io.sofa.read`, in which rtcal finds the modes.
     measured : Measurement, or T in s, (n_bands,), optional
         Measured reverberation time. It is matched exactly in bands above the Schroeder frequency
         (method ``mle`` of `rtcal.calibrate`) and not used below. Its uncertainty widens the intervals.
+        None if only the modes are used.
     geometry : Polyhedron, optional
-        Geometry of the room, if its scene has no mesh or another one.
+        Geometry of the room, if the room's scene has no mesh or a different one.
     equation : Equation, optional
         Reverberation equation; `rtcal.Eyring` by default.
 
@@ -94,7 +95,7 @@ def calibrate_modes(
     ModelError, InfeasibleError, SolverError
         For the reasons that `rtcal.calibrate` names.
     MissingDependencyError
-        If the room is no box and scikit-fem is not installed (``rtcal[modes]``).
+        If the room is not a box and scikit-fem is not installed (``rtcal[modes]``).
     """
     checks.instance("room", room, Room).refuse_pieces("a calibration to modes")
     if isinstance(modes, Responses):
@@ -170,10 +171,10 @@ def calibrate_modes(
 
 @dataclass(frozen=True, eq=False)
 class Decays:
-    """Measured decays of modes in 1/s, with the model that predicts them (an `Observation`).
+    """Hold the measured decays of modes in 1/s, with the model that predicts them (an `Observation`).
 
-    ``chosen`` (n_used,) are the calculated modes that were measured. ``covariance`` is that of measured
-    less modelled decays, for the input coefficients.
+    ``chosen`` (n_used,) are the numbers of the calculated modes that were measured. ``covariance``
+    (n_used, n_used) is that of measured minus modelled decays, for the input coefficients.
     """
 
     model: RoomPoles
@@ -301,10 +302,10 @@ class ModesResult(Result):
 
     @cached_property
     def plausibility(self) -> Plausibility:
-        """Agreement of measured decays with those of the input coefficients, with z of each used mode.
+        """Agreement of measured decays with the input coefficients, with a score z of each used mode.
 
-        Decays are linearised at the last answer. Their covariance is that of the input coefficients and
-        of the decays' errors.
+        The modelled decays are linear in alpha about the calibrated coefficients. The covariance has
+        parts of the input coefficients and of the errors of the decays.
         """
         return plausibility(*self._off, bound_active=False)
 
@@ -320,8 +321,8 @@ class ModesResult(Result):
     def sensitivity(self) -> Array:
         """Sensitivity of each used mode's decay to each material, (n_used, n_materials).
 
-        It is the change of the decay, over its uncertainty, if the material's coefficients change by
-        one input sigma in all bands.
+        It is the change of the decay divided by its uncertainty, if the material's coefficients change
+        by one input sigma in all bands.
         """
         by_sigma = self.linearised.matrix.reshape(-1, *self.prior.alpha.shape) * self.prior.sigma
         own = np.sqrt(np.diag(self.linearised.covariance))
@@ -393,8 +394,9 @@ class ModesResult(Result):
     def in_loop(self, measured: Measurement) -> ModesResult:
         """Return the result for use in `rtcal.calibrate_simulator`, with low bands by the measured T.
 
-        Raises DataError if the modes were calibrated together with T, or if every measured band is
-        below the Schroeder frequency.
+        A band is low if it is below the Schroeder frequency for the measured T. Raises DataError if the
+        modes were calibrated together with T, or if every measured band is below the Schroeder
+        frequency.
         """
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(

@@ -94,25 +94,26 @@ _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredModes:
-    """Measured room modes with their frequencies, their decays and, if known, their amplitudes.
+    """Hold measured room modes with their frequencies, their decays and, if known, their amplitudes.
 
     Parameters
     ----------
     frequencies : array (n_modes,)
         Frequency of each mode in Hz, above 0, rising.
     decays : array (n_modes,)
-        Decay constant delta = 6.91 / T of each mode in 1/s, above 0: the pressure falls as
-        exp(-delta t).
+        Decay constant delta = 6.91 / T of each mode in 1/s, above 0: the pressure falls as exp(-delta
+        t).
     decay_uncertainty : array (n_modes,)
         Standard uncertainty of each decay constant in 1/s, above 0.
     frequency_uncertainty : array (n_modes,), optional
         Standard uncertainty of each frequency in Hz; 0.01 Hz by default.
     amplitudes : complex array (n_modes, n_pairs), optional
-        Complex amplitude of each mode at each pair of source and receiver.
+        Complex amplitude of each mode at each source-receiver pair; None if unknown.
     calculated : int array (n_modes,), optional
-        Number of the calculated mode that each mode is, if the modes were found with a calculation.
+        Number of the calculated mode to which each measured mode belongs; None if no modes were
+        calculated to find the measured ones.
     largest : float, optional
-        Frequency in Hz up to which modes were calculated for that.
+        Frequency in Hz up to which modes were calculated to find the measured ones.
     notes : sequence of str
         Sentences on how the modes were found, and on what was left out.
 
@@ -214,11 +215,12 @@ class MeasuredModes:
 def read(path: str | os.PathLike[str]) -> MeasuredModes:
     r"""Return measured modes that are read from a table (CSV file, or sheet of a workbook).
 
-    The table must have the columns ``frequency`` in Hz; ``decay`` in 1/s or ``T`` in s; and ``u_decay``
-    or ``u_T``, its standard uncertainty. It may have ``u_frequency``. A header, or a row of units below
-    it, may state other units: kHz, ms or, for an uncertainty, %. Decimals may have a comma if columns
-    are separated by ``;``. A value without a unit raises an error where another unit is more likely: a
-    frequency below 1 Hz, a decay time outside 0.03 to 30 s, an uncertainty above 0.3 of its value.
+    The table must have a column ``frequency`` in Hz; a column ``decay`` in 1/s or ``T`` in s; and its
+    standard uncertainty as ``u_decay`` or ``u_T``. It may have a column ``u_frequency``. The header, or
+    a row of units below it, may name other units: kHz, ms or, for an uncertainty, %. Decimals may have
+    a comma if columns are separated by ``;``. A value without a unit raises an error if another unit is
+    more likely: a frequency below 1 Hz, a decay time outside 0.03 to 30 s, an uncertainty above 0.3 of
+    its value.
 
     Raises
     ------
@@ -376,11 +378,11 @@ _ODD = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Assignment of measured modes to calculated modes.
+    """Hold the assignment of measured modes to calculated modes.
 
-    ``measured`` and ``calculated`` (n_matches,) are the numbers of modes that belong together, with the
-    ``probability`` that this is right. ``scale`` is the most likely ratio of measured to calculated
-    frequencies, and ``doubts`` are cautions about the assignment.
+    ``measured`` and ``calculated`` (n_matches,) are the numbers of modes that belong together, and
+    ``probability`` (n_matches,) is that of a right assignment. ``scale`` is the most likely ratio of
+    measured to calculated frequencies, and ``doubts`` are cautions about the assignment.
     """
 
     measured: NDArray[np.intp]
@@ -394,8 +396,8 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     """Return the assignment of measured modes to calculated modes.
 
     ``frequencies`` in Hz and ``decays`` in 1/s are those of the calculated modes, (n_calculated,).
-    Raises DataError if random frequencies would fit as well, or if the ratio of measured to calculated
-    frequencies is at the end of its range.
+    Raises DataError if random frequencies would fit as well as the measured ones, or if the ratio of
+    measured to calculated frequencies is at the end of its range.
     """
     from scipy.special import bdtrc
 
@@ -503,10 +505,10 @@ _STEPS = 25
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Spectra of impulse responses, with their noise.
+    """Hold the spectra of impulse responses, with the variance of their noise.
 
-    ``values`` (n_bins, n_pairs) are at the angular frequencies ``omega`` in 1/s. ``noise`` is the
-    variance of the real part of a value.
+    ``values`` (n_bins, n_pairs) are the spectra at the angular frequencies ``omega`` (n_bins,) in 1/s.
+    ``noise`` is the variance of the real part of a value.
     """
 
     values: Complex
@@ -517,10 +519,10 @@ class Spectra:
 
     @classmethod
     def of(cls, signals: Array, rate: float, lowest: float, highest: float) -> Spectra:
-        """Return the spectra of responses (n_pairs, n_samples) in a frequency range in Hz.
+        """Return the spectra of impulse responses in the range from ``lowest`` to ``highest`` in Hz.
 
-        ``rate`` is the sampling rate in Hz. Raises DataError if the responses have no decay above
-        noise.
+        ``signals`` (n_pairs, n_samples) are the responses, and ``rate`` is their sampling rate in Hz.
+        Raises DataError if the responses have no decay above noise.
         """
         n = signals.shape[1]
         f = np.fft.rfftfreq(n, 1 / rate)
@@ -566,19 +568,20 @@ class Spectra:
         return np.maximum((power / count)[start : start + len(off)], self.noise)
 
 
-def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
-    """Return the poles and amplitudes that fit spectra by least squares.
+def fitted(spectra: Spectra, poles: Poles, psi: Complex) -> Point:
+    """Return the poles and amplitudes of modes that fit measured spectra by least squares.
 
-    ``poles`` are the calculated poles, and ``psi`` (n_poles, n_pairs) their amplitudes at the pairs. A
-    second fit uses the deviation of the amplitudes from ``psi`` that the first one shows.
+    ``poles`` are the calculated poles, and ``psi`` (n_poles, n_pairs) the calculated amplitudes of
+    their modes at the pairs. A first fit shows how much the amplitudes deviate from ``psi``, and a
+    second fit allows for this deviation.
     """
-    scale, amplitudes = _scanned(heard, poles.values, psi)
+    scale, amplitudes = _scanned(spectra, poles.values, psi)
     own = frequency_error(poles.frequencies, poles.decays)
     prior = np.concatenate([scale * poles.frequencies, np.log(poles.decays)])
-    none = np.zeros_like(amplitudes, shape=(heard.residuals.shape[1], psi.shape[1]))
+    none = np.zeros_like(amplitudes, shape=(spectra.residuals.shape[1], psi.shape[1]))
     first = _settled(
         Point(
-            heard=heard,
+            spectra=spectra,
             psi=psi,
             scale=scale,
             prior=prior,
@@ -610,28 +613,28 @@ def _settled(point: Point) -> Point:
     return point
 
 
-def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Complex]:
+def _scanned(spectra: Spectra, poles: Complex, psi: Complex) -> tuple[float, Complex]:
     """Return the factor of all frequencies, and amplitudes.
 
     Under this factor the calculated spectra, with a source's smooth spectrum that is common to all
-    pairs, are most like those heard.
+    pairs, are most like the measured ones.
     """
     best = (np.inf, 1.0, psi)
-    f = heard.omega / (2 * np.pi)
+    f = spectra.omega / (2 * np.pi)
     half = round(_SMOOTH / (f[1] - f[0]))
     window = np.exp(-((2 * np.linspace(-1, 1, 2 * half + 1)) ** 2))
-    total = float((np.abs(heard.values) ** 2).sum())
+    total = float((np.abs(spectra.values) ** 2).sum())
     for scale in 1 + FARTHEST * np.linspace(-1, 1, _SCALES):
         moved = poles.real + 1j * scale * poles.imag
-        calculated = heard.kernel(moved)[0] @ psi / 2
+        calculated = spectra.kernel(moved)[0] @ psi / 2
         across, power = (
             np.convolve((calculated.conj() * x).sum(axis=1), window)[half:][: len(f)]
-            for x in (heard.values, calculated)
+            for x in (spectra.values, calculated)
         )
         q = across / power
-        left = float((np.abs(heard.values - q[:, np.newaxis] * calculated) ** 2).sum())
+        left = float((np.abs(spectra.values - q[:, np.newaxis] * calculated) ** 2).sum())
         # As if an eighth of all bins were independent: the misfit is the model's.
-        cost = heard.values.size / 4 * np.log(left / total) + ((scale - 1) / COMMON_ERROR) ** 2
+        cost = spectra.values.size / 4 * np.log(left / total) + ((scale - 1) / COMMON_ERROR) ** 2
         if cost < best[0]:
             at = np.interp(scale * poles.imag / (2 * np.pi), f, q)
             best = (float(cost), float(scale), at[:, np.newaxis] * psi)
@@ -640,15 +643,16 @@ def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Compl
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Point:
-    """Point of the least-squares fit of modes: poles and amplitudes, with their errors.
+    """Hold a point of the least-squares fit of modes: poles and amplitudes, with their errors.
 
-    ``at`` (2 n_poles,) are the frequencies in Hz and the logarithms of the decays in 1/s. ``prior`` are
-    their expected values, with ``scale`` times the calculated frequencies, and ``spread`` the standard
-    deviations. ``psi`` (n_poles, n_pairs) are the calculated amplitudes, ``amplitudes`` (n_poles + 3,
-    n_pairs) the fitted ones of the poles and of the modes out of range.
+    ``at`` (2 n_poles,) are the frequencies in Hz, followed by the logarithms of the decays in 1/s.
+    ``prior`` are their expected values, which have ``scale`` times the calculated frequencies, and
+    ``spread`` the standard deviations of the expected values. ``psi`` (n_poles, n_pairs) are the
+    calculated amplitudes. ``amplitudes`` (n_poles + 3, n_pairs) are the fitted ones, of the poles and
+    of the modes outside the frequency range.
     """
 
-    heard: Spectra
+    spectra: Spectra
     psi: Complex
     scale: float
     prior: Array
@@ -671,12 +675,13 @@ class Point:
     def columns(self) -> Complex:
         """Derivatives of the spectra by amplitudes and poles, (n_bins, 2 n_amplitudes + 2 n_poles).
 
-        They are by the real and imaginary parts of the amplitudes, and two for each pole, which count
-        with the pole's amplitude at each pair.
+        First are the derivatives by the real, then by the imaginary parts of the amplitudes. The last
+        ones are by the real and imaginary parts of each pole, for an amplitude of 1: they must be
+        multiplied by the pole's amplitude at each pair.
         """
-        heard = self.heard
-        poles, rest = -np.exp(self.log_decays) + 2j * np.pi * self.frequencies, heard.residuals
-        ours, others = heard.kernel(poles), heard.kernel(poles.conj())
+        spectra = self.spectra
+        poles, rest = -np.exp(self.log_decays) + 2j * np.pi * self.frequencies, spectra.residuals
+        ours, others = spectra.kernel(poles), spectra.kernel(poles.conj())
         sums, turned = (
             [(a + sign * b) / 2 for a, b in zip(ours, others, strict=True)] for sign in (1, -1)
         )
@@ -687,7 +692,7 @@ class Point:
     def off(self) -> Complex:
         """Deviation of the measured spectra from those of the modes, (n_bins, n_pairs)."""
         parts = np.vstack([self.amplitudes.real, self.amplitudes.imag])
-        return np.asarray(self.heard.values - self.columns[:, : len(parts)] @ parts)
+        return np.asarray(self.spectra.values - self.columns[:, : len(parts)] @ parts)
 
     @property
     def own(self) -> Complex:
@@ -715,17 +720,17 @@ class Point:
     @cached_property
     def weight(self) -> Array:
         """Weights of the bins in the least squares, (n_bins,)."""
-        return np.asarray(1 / np.sqrt(self.heard.local(self.off)))
+        return np.asarray(1 / np.sqrt(self.spectra.local(self.off)))
 
     @property
     def unexplained(self) -> float:
         """Share of the responses' power that the modes do not explain."""
-        return _share(self.off, self.heard.values)
+        return _share(self.off, self.spectra.values)
 
     @property
     def strange(self) -> float:
         """Share of the amplitudes' power that the calculated modes do not explain."""
-        within = self.frequencies <= self.heard.omega[-1] / (2 * np.pi)
+        within = self.frequencies <= self.spectra.omega[-1] / (2 * np.pi)
         own = self.own[within]
         return _share(own - self.expected[: len(within)][within], own)
 
@@ -850,8 +855,8 @@ def find_modes(
     # By a power of two, so that no digit changes.
     size = float(2.0 ** np.frexp(np.abs(signals).max())[1])
     model = RoomPoles.of(room, ABOVE * highest, geometry)
-    heard = Spectra.of(signals / size, rate, lowest, highest)
-    fit = fitted(heard, model.calculated, model.amplitudes(pairs))
+    spectra = Spectra.of(signals / size, rate, lowest, highest)
+    fit = fitted(spectra, model.calculated, model.amplitudes(pairs))
     if max(fit.unexplained, fit.strange) > UNEXPLAINED:
         raise DataError(
             f"the room's modes leave {fit.unexplained:.0%} of the responses' power unexplained, "
@@ -869,15 +874,16 @@ def find_modes(
 def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> MeasuredModes:
     """Return the modes that are found in the first channel of a SOFA file's responses.
 
-    A pair that was measured several times counts once. Errors are those of `find_modes`.
+    If a pair was measured several times, only its first response is used. ``geometry`` is that of the
+    room; None means the room's own. Errors are those of `find_modes`.
     """
     first: dict[tuple[str, str], Array] = {}
     placed, note = responses.placed(room.scene)
     for pair, samples in zip(placed.pairs, placed.samples, strict=True):
         first.setdefault(pair, samples[0])
-    heard = np.array([*first.values()])
+    signals = np.array([*first.values()])
     rate, top = placed.sampling_rate, min(HIGHEST, placed.sampling_rate / 2.5)
-    modes = find_modes(room, heard, rate, [*first], highest=top, geometry=geometry)
+    modes = find_modes(room, signals, rate, [*first], highest=top, geometry=geometry)
     return replace(modes, notes=[*modes.notes, *filter(None, [note])])
 
 
@@ -963,9 +969,9 @@ def _without_prior(
 
 def _own(fit: Point) -> NDArray[np.bool_]:
     """Return which modes are nearest to their own calculated one, by frequency and pattern."""
-    psi, heard, n = fit.psi, fit.own, len(fit.own)
-    common = np.abs(heard.conj() @ psi.T) ** 2
-    whole = np.outer(*((np.abs(a) ** 2).sum(axis=1) for a in (heard, psi)))
+    psi, found, n = fit.psi, fit.own, len(fit.own)
+    common = np.abs(found.conj() @ psi.T) ** 2
+    whole = np.outer(*((np.abs(a) ** 2).sum(axis=1) for a in (found, psi)))
     missed = 1 - common / np.maximum(whole, 1e-300)
     off = (fit.frequencies[:, np.newaxis] - fit.prior[:n]) / fit.spread[:n]
     return np.asarray((off**2 + missed / AMPLITUDE**2).argmin(axis=1) == np.arange(n))

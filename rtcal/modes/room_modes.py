@@ -79,7 +79,7 @@ Admittances = Callable[[float], Complex]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomModes:
-    """Modes of a room with rigid walls up to a frequency, from which those with absorption follow.
+    """Hold the modes of a room with rigid walls, from which those with absorbing walls are calculated.
 
     Examples
     --------
@@ -113,9 +113,10 @@ class RoomModes:
     def poles(self, admittances: Admittances, like: Complex | None = None) -> Poles:
         """Return the poles (complex frequencies) of the modes up to ``largest`` with absorbing walls.
 
-        ``like`` (n_modes + 1, n_poles) are mixtures of rigid modes. With it the poles with the most
-        similar shapes are returned, which matters where two modes are close together. Raises ModelError
-        if a pole does not converge because walls are too far from rigid.
+        ``admittances`` returns the walls' specific admittances at a frequency. ``like`` (n_modes + 1,
+        n_poles) are mixtures of rigid modes: the poles with the most similar shapes are then returned,
+        which matters where two modes are close together. Raises ModelError if a pole does not converge
+        because walls are too far from rigid.
         """
         from scipy.optimize import linear_sum_assignment
 
@@ -201,10 +202,10 @@ class RoomModes:
 
 @dataclass(frozen=True, eq=False)
 class Poles:
-    """Poles (complex frequencies) of the modes of a room with absorbing walls.
+    """Hold the poles (complex frequencies) of the modes of a room with absorbing walls.
 
     Each mode is a mixture x of rigid modes. It contributes a b / norm to the transfer function from a
-    source to a receiver, where a and b are its values at these points. The norm of a pole s is
+    source to a receiver, where a and b are the mode's values at these points. The norm of a pole s is
     x' (2 s + c sum_i beta_i B_i) x.
     """
 
@@ -255,7 +256,8 @@ def modes_of(
     speed_of_sound : float
         Speed of sound in m/s.
     spacing : float, optional
-        Edge length of the finite elements in m, which are then used for a box, too.
+        Edge length of the finite elements in m. If it is given, a box is also calculated with finite
+        elements.
 
     Raises
     ------
@@ -408,7 +410,8 @@ _SUMMED = 200
 def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) -> RoomModes:
     """Return the modes of a rigid box from the origin to ``sides`` (3,) in m, in closed form.
 
-    phi = prod cos(n_i pi x_i / L_i) / norm, f = c / 2 |n / L| (Kuttruff 2009, Eq. 3.15 and 3.17).
+    The modes are phi = prod cos(n_i pi x_i / L_i) / norm, and their frequencies f = c / 2 |n / L|
+    (Kuttruff 2009, Eq. 3.15 and 3.17).
 
     ``materials`` (6,) are those of west (x = 0), east, south, north, floor and ceiling; ``c`` is the
     speed of sound in m/s. Raises DataError for too many modes up to ``largest`` in Hz.
@@ -518,9 +521,9 @@ _EDGES = np.array([*combinations(range(4), 2)])
 def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
     """Return a mesh of tetrahedra that fills a room, for finite elements.
 
-    It is vertices (n_vertices, 3) in m, and their numbers by tetrahedron, (n_tetrahedra, 4).
-    ``spacing`` is the largest distance of grid lines in m. Raises ModelError for more than
-    `MOST_TETRAHEDRA` tetrahedra.
+    The mesh consists of vertices (n_vertices, 3) in m, and of the numbers of each tetrahedron's
+    vertices, (n_tetrahedra, 4). ``spacing`` is the largest distance of grid lines in m. Raises
+    ModelError for more than `MOST_TETRAHEDRA` tetrahedra.
     """
     lines = [_lines(geometry.vertices[:, axis], spacing) for axis in range(3)]
     if 6 * np.prod([len(line) - 1.0 for line in lines]) > MOST_TETRAHEDRA:
@@ -611,9 +614,8 @@ _NEWTON = 8
 def absorption(beta: Complex | Array) -> Array:
     """Return the random-incidence absorption coefficients of walls with given specific admittances.
 
-    ``beta`` is rho c over the wall's impedance; the coefficients have its shape.
-
-    Raises DataError for an admittance that is not finite or whose real part is below 0.
+    ``beta`` is rho c over the wall's impedance, a number or an array; the coefficients have the same
+    shape. Raises DataError for an admittance that is not finite or whose real part is below 0.
 
     Examples
     --------
@@ -634,8 +636,8 @@ def absorption(beta: Complex | Array) -> Array:
 def admittance(alpha: Array) -> Array:
     """Return the real specific admittances of walls with given random-incidence coefficients.
 
-    ``alpha`` is from 0 to 1; the admittances have its shape. Above `LARGEST` they follow their tangent.
-    Raises DataError for other coefficients.
+    ``alpha`` must be from 0 to 1; the admittances have its shape. Above `LARGEST`, the admittance is
+    continued along its tangent. Raises DataError for other coefficients.
 
     Examples
     --------
@@ -682,12 +684,12 @@ _MOST_POLES = 12
 
 @dataclass(frozen=True, eq=False)
 class AtFrequencies:
-    """Coefficients of a room's materials at single frequencies, interpolated from those in bands.
+    """Hold coefficients of a room's materials at single frequencies, interpolated between bands.
 
-    ``mean`` and ``sigma`` (n_materials, n_frequencies) are the input coefficients there and their
-    standard deviations. ``weights`` (n_frequencies, n_bands) interpolate changes of the coefficients in
-    sigmas, and ``remainder`` (n_frequencies, n_frequencies) is the covariance that remains, in sigmas
-    squared.
+    ``mean`` and ``sigma`` (n_materials, n_frequencies) are the input coefficients at these frequencies
+    and their standard deviations. ``weights`` (n_frequencies, n_bands) interpolate changes of the
+    coefficients, in sigmas, from the bands. ``remainder`` (n_frequencies, n_frequencies) is the
+    covariance, in sigmas squared, of what interpolation leaves unknown.
     """
 
     mean: Array
@@ -729,9 +731,9 @@ class AtFrequencies:
 
 @dataclass(frozen=True, eq=False)
 class RoomPoles:
-    """Poles (complex frequencies) of a room's modes, as functions of its coefficients in bands.
+    """Compute the poles (complex frequencies) of a room's modes for coefficients in bands.
 
-    ``room`` must state a correlation of its bands.
+    ``room`` must have a correlation between its bands.
     """
 
     room: Room
@@ -741,7 +743,8 @@ class RoomPoles:
     def of(cls, room: Room, largest: float, geometry: Polyhedron | None = None) -> RoomPoles:
         """Return the poles of a room's modes up to a frequency ``largest`` in Hz, or somewhat higher.
 
-        Errors as `rtcal.calibrate_modes`.
+        ``geometry`` is that of the room; None means the mesh or box of the room's scene. Errors are
+        those of `rtcal.calibrate_modes`.
         """
         geometry = geometry_files.read(room) if geometry is None else geometry
         if geometry.leaks:
@@ -790,9 +793,10 @@ class RoomPoles:
         return known[key]
 
     def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> Complex:
-        """Return the amplitude of each mode at each pair of positions, (n_poles, n_pairs).
+        """Return the amplitude of each mode at each source-receiver pair, (n_poles, n_pairs).
 
-        It is that of a source with the same strength at all frequencies, with the room's coefficients.
+        The source has the same strength at all frequencies, and the walls have the room's input
+        coefficients.
         """
         scene, poles = self.room.scene, self.calculated
         for source, receiver in pairs:
@@ -802,7 +806,7 @@ class RoomPoles:
                     f"{', '.join(scene.sources) or 'none'} and receivers "
                     f"{', '.join(scene.receivers) or 'none'}"
                 )
-        heard = {}
+        values = {}
         for side, of in enumerate((scene.sources, scene.receivers)):
             for name in {pair[side] for pair in pairs}:
                 try:
@@ -810,15 +814,16 @@ class RoomPoles:
                 except DataError as error:
                     place = ", ".join(f"{x:g}" for x in of[name])
                     raise DataError(f"{name} at ({place}) m: {error}") from error
-                heard[side, name] = shapes[0] @ poles.mixtures
-        at = [np.array([heard[side, pair[side]] for pair in pairs]) for side in (0, 1)]
+                values[side, name] = shapes[0] @ poles.mixtures
+        at = [np.array([values[side, pair[side]] for pair in pairs]) for side in (0, 1)]
         return np.asarray((at[0] * at[1] / poles.norms).T)
 
     def linear(self, alpha: Array, chosen: Integers) -> tuple[Array, Array, Array]:
         """Return decays of chosen modes, their derivatives by alpha, and their remaining covariance.
 
         Their shapes are (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), for decays
-        in 1/s. The covariance is that of the coefficients between the bands' centre frequencies.
+        in 1/s. ``chosen`` are the numbers of the modes. The remaining covariance is due to the unknown
+        coefficients between the bands' centre frequencies.
         """
         poles, columns = self.poles(alpha), chosen.tolist()
         beta_slope = admittance_slope(self.at.alpha(alpha)[:, columns])

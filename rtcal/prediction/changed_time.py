@@ -87,7 +87,7 @@ class MeasuredState:
 class KnownRoom:
     """Hold what is known about a room before it is changed, from a calibration or from its input.
 
-    ``materials`` are those of the room and of its other measured states.
+    ``materials`` are the names of the materials of the room and of its other measured states.
     """
 
     room: Room  # with the stated coefficients
@@ -159,9 +159,10 @@ def normal_quantiles(centre: Array, sigma: Array, lower: Array, upper: Array) ->
 
 @functools.lru_cache(64)
 def normal_of(label: str, number: int) -> Array:
-    """Return draws of a standard normal variable, (number,), that belong to a label.
+    """Return random values of a standard normal variable, (number,), that belong to a label.
 
-    They are the quantiles of equal shares of the probability, in an order that the label gives.
+    They are the quantiles of equal shares of the probability, in a random order that depends on the
+    label alone.
     """
     seed = int.from_bytes(hashlib.sha256(label.encode()).digest()[:8], "big")
     levels = (np.arange(number) + 0.5) / number
@@ -172,11 +173,13 @@ def normal_of(label: str, number: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Draws of what all states share, (n_bands, n_materials, n_draws) or (n_bands, n_draws) each.
+    """Hold random values of the unknowns that all states of a room share.
 
-    ``alpha``, and ``factor``, which is ln f; ``evenness`` is u. ``air`` and ``volume`` are normal
-    variables, for ln m and for the volume that is added. ``alone`` says whether an exchange of unknown
-    place lies on the walls of one axis.
+    ``alpha`` and ``factor`` are (n_bands, n_materials, n_draws): the coefficients, and ln f of their
+    factors f. The others are (n_bands, n_draws). ``evenness`` u is from 0 to 2 where absorption is
+    uneven: T is the shortest of three equations for 0, the middle one for 1, the longest for 2. ``air``
+    and ``volume`` are standard normal variables for ln m and for the volume that is added. ``alone`` is
+    True where an exchange at an unknown place is on the walls of one axis.
     """
 
     alpha: Array
@@ -194,9 +197,10 @@ class Unknowns:
 
 @dataclass(frozen=True, eq=False)
 class TimeChange:
-    """Hold two states of a room, and compute the ratio of T in the second to T in the first.
+    """Hold two states of a room, and compute the ratio of T after the change to T before it.
 
-    `rtcal.acoustics.changes.placed` makes the second state, with the directions of its materials.
+    `rtcal.acoustics.changes.placed` returns the second ``state``, with the directions of its materials.
+    ``known`` is the first state.
     """
 
     known: KnownRoom
@@ -214,7 +218,7 @@ class TimeChange:
         return self.state.room
 
     def refuse(self) -> None:
-        """Raise an error if the two states do not fit each other, or have no T.
+        """Raise an error if the two states do not fit each other, or if the equation gives no T.
 
         DataError if the rooms differ in bands, or in a material's input alpha or sigma; ModelError if
         the equation gives no T before or after.
@@ -335,9 +339,11 @@ class TimeChange:
         return Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
 
     def possible(self, ratio: Array) -> Array:
-        """Return ln of ratios of T in which what is only added absorbs, and what only goes did so.
+        """Return ln of ratios of T, limited to what absorption that is only added or removed can cause.
 
-        A longer T that an equation has with a hard piece that stands free is not taken.
+        ``ratio`` is ln (T after / T before), which cannot rise if absorption is only added, and cannot
+        fall if it is only removed. An equation may give a longer T with a hard free-standing object;
+        this is corrected to 0.
         """
         first, other = (state.room for state in self._both)
         if first.volume == other.volume and first.air == other.air:
@@ -350,10 +356,10 @@ class TimeChange:
 
     @cached_property
     def time_before(self) -> Array:
-        """T before in s, (n_bands,): as measured, or else of the equation with uneven absorption.
+        """T before in s, (n_bands,): as measured, or else by the equation with uneven absorption.
 
-        A calibrated room, of which no measurement is given, has the equation's T: its coefficients are
-        those with which the equation gave the measured one.
+        For a calibrated room without a given measurement it is the equation's T, because with the
+        room's coefficients the equation gave the measured T.
         """
         known = self.known
         if known.measured.all() or is_calibrated(known.room):
@@ -363,10 +369,10 @@ class TimeChange:
 
     @cached_property
     def by_equation(self) -> dict[str, Array]:
-        """T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
+        """T after in s by each equation alone, at the calibrated coefficients, (n_bands,) each.
 
-        T before times the ratio of each, where T before was measured. Arau-Puchades' and Fitzroy's
-        stand there where the absorption is uneven, before or after.
+        If T before was measured, T after is T before times the equation's ratio of T. Arau-Puchades'
+        and Fitzroy's equation are included if the absorption is uneven, before or after the change.
         """
         known, at = self.known, self.known_alpha
         by_state = []
@@ -382,10 +388,11 @@ class TimeChange:
         return dict(zip((known.equation.name, "Arau-Puchades", "Fitzroy"), times, strict=True))
 
     def log_before(self) -> Array:
-        """Return draws of ln (T before / `time_before`), (n_bands, DRAWS): 0 where T was measured.
+        """Return random values of ln (T before / `time_before`), (n_bands, DRAWS).
 
-        Elsewhere T before is the models', and every unknown counts: the volume and the areas
-        together, and the equation's error of ln T in all states alike.
+        They are 0 where T was measured. Elsewhere T before is the model's, and has the errors of all
+        unknowns: of volume and areas together, and of the equation, whose error of ln T is the same in
+        all states.
         """
         assumed, known, room = self.assumptions, self.known, self.known.room
         drawn = self.log_time(0)
@@ -654,10 +661,11 @@ def _area_errors(rooms: Sequence[Room], names: Sequence[str], assumptions: Assum
 
 
 def probability_within(samples: Array, low: Array, high: Array) -> Array:
-    """Return the probability that draws (n_bands, n_draws) are from ``low`` to ``high``, (n_bands,).
+    """Return the probability, (n_bands,), that random values are from ``low`` to ``high``.
 
-    NaN leaves an end open. A normal kernel of a tenth of the draws' standard deviation makes the
-    probability smooth in what the draws depend on. It widens them by 0.5 %.
+    ``samples`` are (n_bands, n_draws), the limits (n_bands,). NaN means no limit. So that the
+    probability is a smooth function, a normal kernel is used, whose width is a tenth of the samples'
+    standard deviation. The kernel widens the distribution by 0.5 %.
     """
     width = np.maximum(_KERNEL * samples.std(axis=1, keepdims=True), 1e-12)
     below = ndtr((np.where(np.isnan(high), np.inf, high)[:, np.newaxis] - samples) / width)
@@ -668,7 +676,7 @@ def probability_within(samples: Array, low: Array, high: Array) -> Array:
 def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
     """Raise DataError if states of one room differ in bands, or in a material's alpha or sigma.
 
-    ``places`` name the rooms in messages: ``room "box"``.
+    ``places`` are the names of the rooms in the message, such as ``room "box"``.
     """
     for place, room in list(zip(places, rooms, strict=True))[1:]:  # the first is that compared with
         if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):

@@ -103,9 +103,10 @@ class Choice:
         return float(self.cost @ (v * self.size))
 
     def widest(self, enough: float = np.inf) -> tuple[Array, float]:
-        """Return the unknowns whose least margin is largest, and that margin; panels need not be whole.
+        """Return the unknowns whose smallest margin is largest, and that margin, in parts of panels.
 
-        Unknowns with a margin that is ``enough`` are not improved.
+        The unknowns are numbers of panels, or shares of a treatment's largest area. The search ends
+        when the margin is ``enough``.
         """
         from scipy.optimize import minimize
         from scipy.stats import qmc
@@ -351,7 +352,7 @@ class DesignModel:
     def in_order(self) -> tuple[DesignModel, NDArray[np.int64]]:
         """Return the model with its treatments in a fixed order, and the place of each treatment in it.
 
-        Searches take it, so that they do not depend on the order of a list.
+        A search with this order gives the same design for any order of your list.
         """
         order = sorted(range(len(self.treatments)), key=lambda j: _what(self.treatments[j]))
         model = replace(self, treatments=tuple(self.treatments[j] for j in order))
@@ -388,7 +389,7 @@ class DesignModel:
     def widening(self, probability: float) -> float | None:
         """Return the factor by which the ranges of T must widen for a design to exist; None above 100.
 
-        Panels need not be whole.
+        The design may have parts of panels. ``probability`` is the required one in each band.
         """
         bounded = self.target.bounded
         low, high = np.log(self.target.low[bounded]), np.log(self.target.high[bounded])
@@ -560,7 +561,7 @@ def design(
 
     The probability is required in each band, and is the one that `rtcal.prediction.predict` gives for
     the same changes. Panels are whole. If no treatment is needed, all areas are 0. Of two designs with
-    the same cost, that with the smaller area is returned. See `rtcal.prediction.designed` for the
+    the same cost, the one with the smaller area is returned. See `rtcal.prediction.designed` for the
     method.
 
     Parameters
@@ -615,7 +616,7 @@ def design_model(
 ) -> DesignModel:
     """Return the treatments that may be placed in a room, and what is known about the room.
 
-    Raises DataError as `design` does.
+    For the parameters see `design`, which raises the same DataErrors.
     """
     if isinstance(result, Room):
         raise DataError("result is a Room; give the result of a calibration (rtcal.calibrate)")
@@ -640,10 +641,10 @@ def _cheapest(model: DesignModel, probability: float) -> Design | None:
 
 
 def can_be_had(model: DesignModel, probability: float) -> list[str]:
-    """Return in sentences what is possible if no design meets the target.
+    """Return sentences on what is possible if no design meets the target.
 
-    They have the best probabilities, the smallest widening of the range, the effect of parts of panels,
-    and what would narrow the interval.
+    The sentences give the best probabilities, the smallest widening of the range, the effect of parts
+    of panels, and the measurement that would narrow the interval. ``probability`` is the required one.
     """
     model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target

@@ -59,8 +59,9 @@ Known = Any
 
 
 def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoom:
-    """Return the room with what a calibration, or else its input, shows about it.
+    """Return the room with what a calibration, or else the room's input, shows about it.
 
+    ``known`` is the calibration or the room; ``equation`` is that for a room, by default Eyring's.
     Raises DataError for another object, and for an ``equation`` that is not the calibration's.
     """
     if isinstance(known, Room):
@@ -145,9 +146,10 @@ class Prediction(TimeChange, Result):
 
     @cached_property
     def samples(self) -> Array:
-        """Random samples of ln T after the change, with T in s, (n_bands, n_draws).
+        """Random values of ln T after the change, with T in s, (n_bands, n_draws).
 
-        A measured T before counts as exact. Otherwise T before is the model's, with its uncertainty.
+        A measured T before the change counts as exact. Otherwise T before is the model's, with its
+        uncertainty.
         """
         given = np.log(self.time_before)[:, np.newaxis] + self.log_ratio()
         if self.known.measured.all():
@@ -156,9 +158,10 @@ class Prediction(TimeChange, Result):
 
     @property
     def before_is(self) -> str:
-        """Kind of T before the change: "measured", "calibrated model" or "stated coefficients".
+        """Source of T before the change: "measured", "calibrated model" or "stated coefficients".
 
-        It is "calibrated room" if nothing was measured, and the room has calibrated coefficients.
+        The fourth source is "calibrated room", if nothing was measured and the room has calibrated
+        coefficients.
         """
         if not self.known.measured.any():
             return words.CALIBRATED if is_calibrated(self.before) else words.STATED
@@ -168,8 +171,8 @@ class Prediction(TimeChange, Result):
     def uncertainty_before(self) -> Array:
         """Standard uncertainty of T before in s, (n_bands,); NaN if the measurement has none.
 
-        The uncertainty of a measured T is not part of the interval. If T was not measured, it is the
-        uncertainty of the model, which is part of the interval.
+        The uncertainty of a measured T is not part of the interval. If T was not measured, the result
+        is the uncertainty of the model, which is part of the interval.
         """
         measured = self.known.log_uncertainty
         if self.known.measured.all():
@@ -200,7 +203,7 @@ class Prediction(TimeChange, Result):
     def quantile(self, probability: float) -> Array:
         """Return the quantile of T after the change in s, (n_bands,), at a probability.
 
-        Raises DataError unless the probability is between 0 and 1.
+        Raises DataError unless ``probability`` is between 0 and 1.
         """
         if not 0 < checks.number("probability", probability) < 1:
             raise DataError(f"probability = {probability:g} is not between 0 and 1")
@@ -221,8 +224,9 @@ class Prediction(TimeChange, Result):
     def parts(self) -> dict[str, Array]:
         """Causes of the uncertainty, as shares of the variance of ln T, (n_bands,) each, largest first.
 
-        They add up to 1, or are 0 where nothing changes, with ln T taken as linear. Each material whose
-        area changes is a cause by itself; all other coefficients together are one.
+        The shares add up to 1, or are 0 in a band in which nothing changes. ln T is taken as a linear
+        function of the causes. Each material whose area changes is one cause; all other coefficients
+        together are another.
         """
         unknowns, n_bands = self.unknowns, self.after.n_bands
         columns: dict[str, list[Array]] = {}
@@ -267,15 +271,16 @@ class Prediction(TimeChange, Result):
     def probability(self, low: Array, high: Array) -> Array:
         """Return the probability that T after the change is within a range, (n_bands,).
 
-        The range is from ``low`` to ``high`` in s, (n_bands,) each; NaN means no limit at this end.
-        Raises DataError for another shape, and as `Target` does.
+        The range is from ``low`` to ``high`` in s, (n_bands,) each; NaN means no limit. Raises
+        DataError for another shape, and as `Target` does.
         """
         return probability_within(self.samples, *self._logs(low, high))
 
     def probability_together(self, low: Array, high: Array) -> float:
         """Return the probability that T after the change is within the range in all bands at once.
 
-        Errors of neighbouring bands are correlated: see `Assumptions.band_correlation`.
+        ``low`` and ``high`` are as of `probability`. Errors of neighbouring bands are correlated: see
+        `Assumptions.band_correlation`.
         """
         from scipy.stats import multivariate_normal
 
@@ -425,8 +430,8 @@ def predict(
     ----------
     known : CalibrationResult or Room
         Calibration of the room before the change, or a room without a measurement, whose input
-        coefficients are then used. After a calibration of `rtcal.Configurations`, give the one of its
-        ``results`` whose state changes.
+        coefficients are then used. After a calibration of `rtcal.Configurations`, give the entry of its
+        ``results`` that belongs to the state that changes.
     changes : Change, sequence of Change, or Room
         Change or changes of the room, or the changed room itself.
     equation : LinearEquation, optional
@@ -434,10 +439,10 @@ def predict(
     assumptions : Assumptions, optional
         Assumed uncertainties, such as that of the new materials; by default usual values.
     name : str
-        Name of the change in what is printed; by default its materials.
+        Name of the change in printed text; by default the names of its materials.
     run, run_after : Run and Measurement, optional
-        Values of a simulation program before and after the change. Their ratio of T replaces that of
-        the equation (`rtcal.prediction.simulated_change`).
+        Values of a simulation program before and after the change. The program's ratio of T replaces
+        that of the equation (`rtcal.prediction.simulated_change`).
 
     Raises
     ------
@@ -575,7 +580,7 @@ class Predictions(Result):
         return [*found, Table(columns, rows, corner="variant")]
 
     def chances(self) -> list[tuple[float, float]]:
-        """Return each variant's probability to meet the target: of the worst band, and of all.
+        """Return each variant's probability to meet the target: in its worst band, and in all bands.
 
         The list is empty without a target.
         """
@@ -602,10 +607,11 @@ def predict_variants(
 ) -> Predictions:
     """Return the T of a room after each of several changes, with 90 % intervals.
 
-    Arguments and errors are those of `predict`. ``target`` is a range of T with which the variants are
-    compared. With a ``run`` of a program, variants with ``simulated`` are predicted by the program.
-    Raises DataError also if two variants have one name, for a target in other bands, and for a run
-    without a simulated variant.
+    For the parameters and errors see `predict`. ``variants`` are the changes with their names.
+    ``target`` is a range of T with which they are compared; None compares nothing. With a ``run`` of a
+    program, a variant that has ``simulated`` values is predicted by the program. Raises DataError also
+    if two variants have one name, for a target in other bands, and for a run without a simulated
+    variant.
 
     Examples
     --------

@@ -28,7 +28,10 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False)
 class SimulatedChange:
-    """Hold T of a program before and after a change in s, (n_bands,) each; NaN if a run has none."""
+    """Hold T in s that a program simulated before and after a change, (n_bands,) each.
+
+    T is NaN in a band in which one of the two runs has none.
+    """
 
     before: Array
     after: Array
@@ -37,9 +40,10 @@ class SimulatedChange:
 
     @classmethod
     def of(cls, room: Room, run: Run, after: Measurement) -> SimulatedChange:
-        """Return the T that both runs have: T20, or else T30, as means over the same pairs.
+        """Return the T that both runs of a program have: T20, or else T30, as means over common pairs.
 
-        Raises DataError if a run is of another room than ``room``, and if the runs share no T.
+        ``run`` is before the change, ``after`` after it. Raises DataError if ``run`` is of another room
+        than ``room``, and if the runs share no T.
         """
         checks.instance("run", run, Run).refuse_other(room)
         checks.instance("run after the change", after, Measurement)
@@ -66,9 +70,9 @@ class SimulatedChange:
         return np.asarray(np.log(self.after / self.before))
 
     def draws(self, change: TimeChange) -> Array:
-        """Return random samples of ln(T after / measured T before), (n_bands, n_draws).
+        """Return random values of ln(T after / measured T before), (n_bands, n_draws).
 
-        Raises DataError if no coefficients give the T before in a band.
+        Raises DataError if no coefficients give T before the change in a band.
         """
         assumed, unknowns = change.assumptions, change.unknowns
         of_program = self._reference(change)

@@ -121,9 +121,10 @@ def not_measured(labels: Sequence[str]) -> str:
 
 
 def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]) -> str:
-    """Return what two equations have for T after in s, where the absorption is uneven.
+    """Return a caution on T after the change by two equations, where the absorption is uneven.
 
-    ``times`` has the equation's T, and Arau-Puchades'; ``interval`` the ends of the 90 % interval.
+    ``label`` is the band. ``times`` has T in s by the calibration's equation and by Arau-Puchades'.
+    ``interval`` has the ends of the 90 % interval in s.
     """
     (own, even), (_, of_axes) = times.items()
     low, high = interval
@@ -154,9 +155,11 @@ def by_program(
     half_widths: tuple[float, float],
     left: Sequence[str],
 ) -> str:
-    """Return what a program gave of the change, T in s in one band, and what the equation would give.
+    """Return sentences on the change of T by a program and by the equation, in one band.
 
-    ``half_widths`` over T are the equation's and the program's; ``left`` are bands without the program.
+    ``label`` is the band, and ``times`` are the program's T in s before and after. ``by_equation`` is
+    the equation's T after in s. ``half_widths`` are half the widths of the intervals of equation and
+    program, over T. ``left`` are bands in which a run has no T.
     """
     said = (
         f"The change is the program's: at {label} from {times[0]:.2f} to {times[1]:.2f} s. By the "
@@ -195,10 +198,10 @@ def blocks_of(
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What a table of variants and a page show of a prediction: T, or the mean of a parameter.
+    """Hold what a table of variants and a page show of a prediction: T, or the mean of a parameter.
 
-    ``name`` with its unit; ``before``, ``after`` and the ends of the 90 % ``interval`` (n_bands,); and
-    the ``parts`` of the variance of ``of``.
+    ``name`` is the parameter's name with its unit. ``before``, ``after`` and both ends of the 90 %
+    ``interval`` are (n_bands,). ``parts`` are the shares of the variance of ``of``, by cause.
     """
 
     name: str

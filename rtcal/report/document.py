@@ -117,10 +117,10 @@ class Files:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Hold a figure, which ``draw`` makes once, and its caption; ``tall`` allows it to be high.
+    """Hold a figure, which the function ``draw`` makes once, and its caption.
 
-    ``alt`` is the text for readers who cannot see the figure, by default the caption. A figure with a
-    ``name`` is also written as a separate file.
+    ``alt`` is the text for readers who cannot see the figure, by default the caption. ``tall`` is
+    whether the figure may be high. A figure with a ``name`` is also written as a separate file.
     """
 
     draw: Callable[[], Any]
@@ -137,7 +137,10 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """Hold parts of a page that are shown side by side if the page is wide; ``kind`` is their class."""
+    """Hold parts of a page that are shown side by side if the page is wide.
+
+    ``kind`` is the CSS class of the parts.
+    """
 
     parts: Sequence[Sequence[Any]]
     kind: str = ""
@@ -145,7 +148,7 @@ class SideBySide:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Hold the subject, the author, the heading and the blocks of a page.
+    """Hold the subject, the author, the name and the blocks of a page.
 
     Blocks are those of `rtcal.support.blocks`, the classes of this module, and the room of
     `rtcal.report.room_view`.
@@ -295,9 +298,9 @@ def coefficients(
 ) -> Table:
     """Return the table of input and calibrated coefficients by material and band, with the interval.
 
-    ``room`` has the input coefficients. The calibrated ``alpha``, the ends of its 90 % ``interval`` and
-    ``at_bound`` are (n_materials, n_bands); coefficients at a bound get a star. ``most`` are the
-    numbers of the materials that a page shows, by default all.
+    ``room`` has the input coefficients. The calibrated ``alpha``, both ends of its 90 % ``interval``,
+    and ``at_bound`` are (n_materials, n_bands). A coefficient for which ``at_bound`` is True gets a
+    star. ``most`` are the numbers of the materials that a page shows, by default all.
     """
 
     def cell(i: int, k: int) -> str:

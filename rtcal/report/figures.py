@@ -67,8 +67,8 @@ def new_figure(
 ) -> tuple[Any, Any]:
     """Return a new figure and its axes, for drawing without a screen.
 
-    Its size is in inches. The axes are those of ``matplotlib.figure.Figure.subplots``. Raises
-    MissingDependencyError if matplotlib is not installed.
+    ``width`` and ``height`` are in inches. The axes are those of ``matplotlib.figure.Figure.subplots``.
+    Raises MissingDependencyError if matplotlib is not installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -85,7 +85,9 @@ def new_figure(
 
 
 def shown(name: str, longest: int = _LONGEST_NAME) -> str:
-    r"""Return a name for a figure, whole, in short lines; a dollar, which begins a formula, is escaped.
+    r"""Return a name as a figure shows it: whole, in lines of at most ``longest`` characters.
+
+    A dollar sign, which would begin a formula, is escaped.
 
     Examples
     --------
@@ -108,8 +110,9 @@ def of_materials(
 ) -> Any:
     """Return a figure with a small panel over the bands for each material, at most twelve.
 
-    If there are more, those with the largest ``size`` (n_materials,) are drawn. ``draw`` draws the
-    panel of a material. ``columns`` is the number of columns of the legend.
+    If there are more materials, those with the largest ``size`` (n_materials,) are drawn. The function
+    ``draw`` draws the panel of the material with a given number. ``columns`` is the number of columns
+    of the legend.
     """
     chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     n = len(chosen)
@@ -174,7 +177,7 @@ def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: 
 def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T over frequency: measured with one JND, before and after calibration.
 
-    A letter below a band refers to a caution.
+    A letter below a band refers to a caution on the page.
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
@@ -410,8 +413,8 @@ def predicted_times(
 ) -> Any:
     """Return the figure of T over frequency before, and of each variant with its 90 % interval.
 
-    ``frequencies`` in Hz and T in s are (n_bands,). A variant is (name, T, (low, high)). The range of
-    the ``target`` is drawn, too; an end of it is NaN where there is no limit.
+    ``frequencies`` in Hz and T ``before`` in s are (n_bands,). A variant is (name, T, (low, high)).
+    ``target`` has both ends of the required range of T, NaN for no limit; None draws no range.
     """
     figure, axes = new_figure()
     top = 1.1 * max(float(np.nanmax(before)), *(float(ends[1].max()) for _, _, ends in variants))
@@ -476,8 +479,8 @@ def corrected_times(verification: Verification) -> Any:
 def corrected_shifts(verification: Verification) -> Any:
     """Return the figure of each material's change of alpha by band, without and with the effect.
 
-    It has 90 % intervals, in grey for the input values. If there are more than `MOST_PANELS` materials,
-    it shows those whose absorption area changed most.
+    It shows 90 % intervals; those of the input values are grey. If there are more than `MOST_PANELS`
+    materials, it shows those whose absorption area changed most.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
     models = verification.calibrations
@@ -531,10 +534,10 @@ def _mark(axes: Axes, point: Sequence[float], marker: str, colour: str) -> None:
 def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     """Return the plan of the room with the pairs that disagree and the surfaces that may differ.
 
-    A line joins source and receiver, and is darker for a larger root mean square deviation of the pair
-    in standard deviations. A wall is more orange if it is more probable. Surfaces that the positions do
-    not distinguish have a common letter. ``place`` is a further receiver, from
-    `rtcal.finder.positions.next_position`.
+    A line joins source and receiver, and is darker for a larger root mean square deviation of the pair,
+    in standard deviations. A more probable wall is more orange. Surfaces that the positions do not
+    distinguish have the same letter. ``place`` is a position for a further receiver, from
+    `rtcal.finder.positions.next_position`; None draws none.
     """
     from rtcal.finder.positions.surfaces import kind
 
@@ -680,11 +683,12 @@ def room(
     stands: Sequence[tuple[str, str, Sequence[float], str]],
     scale: tuple[str, Sequence[str], tuple[float, float]],
 ) -> Any:
-    """Return the figure of a room in which each face has its colour, from several sides.
+    """Return the figure of a room in which each face has its colour, seen from several sides.
 
-    A view is (turn, tilt, faces): angles in radians round z and above the horizontal, and the numbers
-    of the faces that are drawn. A source or receiver in ``stands`` is (kind, name, position, colour).
-    ``scale`` explains the colours: (label, colours, ends).
+    ``colours`` has one for each face. A view is (turn, tilt, faces): angles in radians about the z axis
+    and above the horizontal, and the numbers of the faces that are drawn. A source or receiver in
+    ``stands`` is (kind, name, position, colour). ``scale`` explains the colours: (label, colours,
+    ends).
     """
     figure, _ = new_figure(6.6, 3.7)
     figure.clear()
@@ -725,9 +729,10 @@ def room(
 
 
 def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
-    """Return the figure of a mesh, as drawn or repaired, with open edges, (n, 2, 3) in m, in red.
+    """Return the figure of a mesh, as drawn or repaired.
 
-    Each material has its own shade; the legend names those with the largest areas.
+    ``open_edges`` (n, 2, 3) in m are drawn in red. Each material has its own shade; the legend names
+    those with the largest areas.
     """
     from rtcal.simulators.geometry import Polyhedron
 
@@ -796,8 +801,8 @@ def write_folder(
 ) -> list[Path]:
     """Write the room, the numbers and the figures of a result into a folder, all or none.
 
-    ``draw`` has a function for each figure's file name. Without matplotlib no figures are written, and
-    a warning is given.
+    ``draw`` maps the name of each figure's file to the function that draws the figure. Without
+    matplotlib no figures are written, and a warning is given.
     """
     contents = {
         folder / ROOM: result.room.to_text(folder).encode(),

@@ -330,7 +330,7 @@ def sentence(reason: Reason) -> str:
 
 
 def odds(nats: float) -> str:
-    """Return evidence in nats as odds, to two digits.
+    """Return a ln Bayes factor, in ``nats``, as odds to two digits.
 
     Examples
     --------
@@ -358,7 +358,7 @@ def percent(probability: float) -> str:
 
 
 def called(effect: str) -> str:
-    """Return the name in print of an effect.
+    """Return the printed name of an effect.
 
     >>> called("porous"), called("noise floor"), called("added porous")
     ('porous absorber', 'noise floor', 'added porous absorber')
@@ -370,7 +370,7 @@ def called(effect: str) -> str:
 
 
 def named(c: Candidate) -> str:
-    """Return the name in print of a candidate, with its place.
+    """Return the printed name of a candidate's effect, with its place.
 
     >>> named(Candidate(effect="membrane", family="", probability=0.5, surface="west"))
     'panel absorber on "west"'
@@ -389,7 +389,7 @@ def likeliness(c: Candidate) -> str:
 
 
 def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
-    """Return candidates with their probabilities, the most probable first, in words.
+    """Return candidates with their probabilities in words; ``some`` has the most probable first.
 
     >>> choice([("furniture", 0.45), ("opening", 0.39), ("air", 0.06)])
     'most likely furniture (45 %), but opening (39 %) fits nearly as well; less likely air (6 %)'
@@ -403,7 +403,7 @@ def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
 
 
 def unexplained(names: Sequence[str]) -> str:
-    """Return in words that these effects do not explain the measurement.
+    """Return in words that the effects with these names do not explain the measurement.
 
     >>> unexplained(["air"]), unexplained(["opening", "porous", "curtain", "people"])
     ('air does not explain the data', 'none of the effects that were tried explains the data')
@@ -441,7 +441,10 @@ def name_of(f: Finding, effect: str) -> str:
 
 
 def absorbs(change: Array, end: str = "") -> str:
-    """Return how much more or less the room absorbs than the model, with the ``end`` of a `Size`.
+    """Return in words how much more or less the room absorbs than the model.
+
+    ``change`` (3, n_bands) is the relative change of the absorption area: its mean, and both ends of
+    its 90 % interval. ``end`` is that of a `Size`.
 
     >>> absorbs(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]]))
     'The room absorbs 40 % more than the model (90 % interval 20 to 60 %), rising with frequency'
@@ -509,7 +512,7 @@ def _weak(f: Finding) -> str:
 def without_measuring(f: Finding) -> str:
     """Return the next step that needs no measurement: to calibrate, or to simulate; "" for none.
 
-    Calibrating is advised where nothing is missing and something differs.
+    Calibration is advised if nothing is missing from the model, and model and measurement differ.
     """
     if any(reason.code == OWN_FIELD for reason in f.reasons):
         return (
@@ -816,7 +819,7 @@ def _details_of_means(f: Finding) -> list[str]:
 
 
 def set_of(names: Sequence[str]) -> str:
-    """Return the names in print of a set of effects, joined.
+    """Return the printed names of a set of effects, joined.
 
     >>> set_of(("porous", "opening")), set_of(())
     ('porous absorber + opening', 'nothing missing')
@@ -1054,9 +1057,9 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
 
 
 def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
-    """Return the answer, cautions, candidates, what was measured, what to do next, evidence, notes.
+    """Return a finding as blocks: the answer, cautions, next step, candidates, data and evidence.
 
-    The ``verification`` stands among the cautions.
+    The sentence of a ``verification`` follows the cautions; None leaves it out.
     """
     table = candidates(f)
     step = next_step(f, verification)
@@ -1102,9 +1105,10 @@ _OPEN = 0.01
 
 
 def of_plan(p: Plan, *, every: bool = False) -> list[Block]:
-    """Return what to measure next, what each effect would show, and with how many it may be mixed up.
+    """Return a plan as blocks: what to measure next, what each effect would show, and similar effects.
 
-    With ``every`` these are named.
+    The effects that the data do not distinguish from another one are counted. If ``every`` is True,
+    they are also named.
     """
     seen, named_ = list[Row](), list[Block]()
     for name, change in p.reached.items():

@@ -248,8 +248,8 @@ def _measured(result: CalibrationResult) -> str:
 def command(result: CalibrationResult) -> str | None:
     """Return the shell command that gives the same result from the two files of the page.
 
-    None for a calibration that the command cannot repeat: a composed one, or an equation that is not
-    rtcal's or whose parameters are not the default ones.
+    The result is None for a calibration that the command cannot repeat: a composed one, one with an
+    equation that is not rtcal's, or one whose equation has other than the default parameters.
     """
     keys = {equation.name: key for key, equation in EQUATIONS.items()}
     equation, method = keys.get(result.equation.name), result.method

@@ -146,10 +146,10 @@ def page(result: Diagnosis) -> Page:
 
 
 def contents(result: Diagnosis, folder: Path, heading: Heading | None = None) -> dict[Path, bytes]:
-    """Return the content of each file by path: page, figures, numbers and the calibrated room.
+    """Return the content of each file of a diagnosis, by path: page, figures, numbers and room.
 
-    The room has its mesh and its lists of materials beside it where `Corrected.contents` makes them.
-    Raises MissingDependencyError without matplotlib or jinja2.
+    The room is the calibrated one. Its mesh and lists of materials are added if `Corrected.contents`
+    makes them. Raises MissingDependencyError without matplotlib or jinja2.
     """
     corrected = result.corrected
     if corrected is None:

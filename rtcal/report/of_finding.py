@@ -64,8 +64,9 @@ def page(
 ) -> Page:
     """Return the page of a finding: the answer, its reasons, what to do, and the numbers.
 
-    ``verification`` is that of the finding, or None. ``command`` is the printed command that reproduces
-    the page. ``place`` is a further receiver that would distinguish the surfaces.
+    ``verification`` is that of the finding; None if there is none. ``command`` is the printed command
+    that reproduces the page. ``place`` is a position for a further receiver that would distinguish the
+    surfaces; None if there is none.
     """
     if isinstance(result, Verification):
         return page(result.finding, result, command, place)
@@ -408,10 +409,11 @@ _SAME = 5e-4
 def instructions(
     finding: Finding, made: Corrected, room: Room, effect: str | None = None
 ) -> list[Block]:
-    """Return what to change in the list of materials, what to draw, and what neither can hold.
+    """Return what to change in a program's list of materials, what to draw, and what neither can hold.
 
-    ``room`` is the corrected room with the coefficients to simulate with; its first materials are those
-    of the run. ``effect`` is the one that was chosen, None for what was found.
+    ``made`` is the corrected model. ``room`` is its room with the coefficients to simulate with; its
+    first materials are those of the run. ``effect`` is the name of the effect that was chosen; None if
+    it is the effect that was found.
     """
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
@@ -478,11 +480,12 @@ def correct(
     form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
-    """Add what was found to the model, with the caution of its verification, for a folder ``out``.
+    """Add what was found to the model, and return the text, its record, and the files for a folder.
 
-    Of means the verification holds the calibration with the effect, which is else made. ``effect``,
-    ``form`` and ``at`` are as `Finding.apply` takes them, which raises DataError. Returned are the
-    text, its record, and the files to write by path; none if there is nothing to add.
+    ``out`` is the folder. ``verification`` has the caution for the model; for means over positions, it
+    also has the calibration with the effect, which is otherwise computed. ``effect``, ``form`` and
+    ``at`` are as of `Finding.apply`, which raises DataError. The files are returned by path, and there
+    are none if there is nothing to add.
     """
     record = finding.to_dict()
     if finding.refusal is not None:

@@ -47,9 +47,10 @@ def gap_table(
     title: str = f"Root mean square {_DEVIATION}",
     misfit: Array | None = None,
 ) -> Table:
-    """Return the rms gap before and after by parameter, of each pair and of all.
+    """Return the table of root mean square deviations before and after, for each pair and for all.
 
-    Gaps are (n_parameters, n_pairs, n_bands) in JND; ``misfit`` (n_pairs,) has a column of its own.
+    ``before`` and ``after`` are (n_parameters, n_pairs, n_bands) in JND. ``misfit`` (n_pairs,) gets a
+    column of its own; None leaves it out.
     """
     columns = [parameter_label(p) for p in parameters]
     own: list[list[str]] = [[]] * (len(pairs) + 1)

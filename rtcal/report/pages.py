@@ -86,8 +86,9 @@ def page_of(
 ) -> str:
     """Return a saved result as an HTML page, from its folder, its ``result.json`` or a loop's file.
 
-    A saved result does not have the names of its input files. Therefore the page of a finding for means
-    contains its case as a file, and that of a finding at positions has no command to reproduce it.
+    A saved result does not contain the names of its input files. Therefore the page of a finding for
+    means over positions contains its case as a file, and the page of a finding at positions has no
+    command that reproduces it. For ``heading`` and ``progress`` see `page`.
 
     Raises
     ------
@@ -112,9 +113,10 @@ def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str])
 
 
 def sheets(made: Page) -> dict[str, list[list[Any]]]:
-    """Return the sheets of a workbook with a page's tables, by name; the first one has its sentences.
+    """Return the sheets of a workbook with a page's tables, by name; the first sheet has sentences.
 
-    Each number has its own cell. If the page prints several in one cell, each gets a row.
+    Each number has its own cell. If the page prints several numbers in one cell of a table, each gets a
+    row of the sheet.
     """
     summary: list[list[Any]] = [["text"]]
     made_of: dict[str, list[list[Any]]] = {"summary": summary}

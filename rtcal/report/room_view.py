@@ -57,7 +57,9 @@ GAPS = ("#fee838", "#bcae6c", "#7c7b78", "#434e6c", "#00224e")
 
 
 def between(colours: Sequence[str], share: float) -> str:
-    """Return the colour at a share from 0 to 1 of a scale; beyond its ends the end; grey for NaN.
+    """Return the colour at a share from 0 to 1 of a colour scale.
+
+    A share beyond an end of the scale has the colour of the end, and NaN is grey.
 
     >>> between(("#000000", "#ff0000"), 0.5), between(("#000000", "#ff0000"), float("nan"))
     ('#800000', '#c8c8c8')
@@ -77,11 +79,13 @@ def into_picture(turn: float, tilt: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Quantity:
-    """Numbers (n_parts, n_columns) that colour the parts, NaN where nothing is known.
+    """Hold a quantity whose numbers colour the parts of a room, NaN where nothing is known.
 
-    ``head`` is the name in a table's head. ``columns`` says what each column is: the mean over the
-    bands, or a band. ``colours`` go from ``low`` to ``high``. A value in text has so many ``digits``,
-    is multiplied by ``factor`` and followed by ``unit``. ``still``: whether it has a still picture.
+    ``values`` are (n_parts, n_columns), and ``columns`` the names of the columns: the mean over the
+    bands, or a band. ``head`` is the quantity's name in the head of a table. ``colours`` is the scale
+    from ``low`` to ``high``. A number in text is multiplied by ``factor``, has this number of
+    ``digits``, and is followed by ``unit``. ``still`` is whether the page has a picture of it for
+    print.
     """
 
     name: str
@@ -130,11 +134,12 @@ class Stand:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomSection:
-    """The room on a page, for the template ``room.html``, below a heading of a ``level`` or none.
+    """Hold the room on a page, for the template ``room.html``.
 
-    ``parts`` are the numbers of the faces of each material or surface, and ``part`` is what one is
-    called in a table's head; ``areas`` are theirs in m². The first quantity is shown at first.
-    ``whens`` say what each gap of a stand is: input, calibrated.
+    ``parts`` has the numbers of the faces of each material or surface, and ``areas`` (n_parts,) the
+    areas in m². ``part`` is the word for a part in the head of a table. The first of ``quantities`` is
+    shown at first. ``stands`` are sources and receivers, and ``whens`` says to which model each of
+    their deviations belongs: input, calibrated. ``level`` is that of the heading; None for no heading.
     """
 
     geometry: Polyhedron
@@ -202,7 +207,8 @@ class RoomSection:
     def still(self, quantity: Quantity) -> Any:
         """Return the figure of the parts by a quantity's first column, from above and from below.
 
-        Faces towards the reader are left out. Sources and receivers have the colour of their last gap.
+        Faces that would hide the inside of the room are left out. Sources and receivers have the colour
+        of their last deviation.
         """
         colours = np.array([*map(quantity.colour, quantity.values[:, 0]), GREY])[self.owners]
         views = []
@@ -314,9 +320,10 @@ def stands(
     pairs: Sequence[tuple[str, str]] = (),
     gaps: Sequence[Array] = (),
 ) -> list[Stand]:
-    """Return sources and receivers with the root mean square gap of their pairs in JND.
+    """Return sources and receivers with the root mean square deviation of their pairs in JND.
 
-    ``gaps`` are before, after: each (n_parameters, n_pairs, n_bands), NaN where nothing is known.
+    ``gaps`` are the deviations before and after, (n_parameters, n_pairs, n_bands) each, NaN where
+    nothing is known. ``pairs`` are the names of source and receiver of each pair.
     """
     made = []
     for kind, points, end in (("source", sources, 0), ("receiver", receivers, 1)):
@@ -329,9 +336,9 @@ def stands(
 
 
 def of_calibration(result: CalibrationResult) -> list[Any]:
-    """Return the section of a calibration whose room has a geometry; else nothing.
+    """Return the section on the room of a calibration; an empty list if the room has no geometry.
 
-    A mesh that cannot be read is no error: the page says so, and goes without it.
+    A mesh that cannot be read raises no error: the page notes it, and has no view of the room.
     """
     room = result.prior
     if not room.scene:
@@ -370,9 +377,10 @@ def of_finding(
     verification: Verification | None,
     place: Place | None = None,
 ) -> list[Any]:
-    """Return the section of a finding in a geometry.
+    """Return the section on the room of a finding at positions.
 
-    Its gaps are those of a verification at pairs that were not fitted. ``place`` is a further receiver.
+    Its deviations are those of the ``verification`` at pairs that were not fitted; None for none.
+    ``place`` is a position for a further receiver; None for none.
     """
     case, room = finding.case, finding.case.room
     rows = [

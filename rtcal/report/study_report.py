@@ -62,10 +62,10 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
 
 
 def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
-    """Return the box plot of the error of alpha over random rooms, per method (Fig. 4b).
+    """Return the box plot of the error of alpha over random rooms, for each method (Fig. 4b).
 
     The error is the root of the expected mean square error (EMSE). ``table`` comes from `Study.spread`.
-    ``aace`` has the mean error of each row of the table, which is drawn as a dashed line.
+    ``aace`` has the mean error for each row of the table, which is drawn as a dashed line.
     """
     figure, axes = new_figure()
     boxes = [

@@ -171,9 +171,10 @@ def _of_pairs(v: Verification) -> list[str]:
 
 
 def gaps(v: Verification) -> Table:
-    """Return the mean gaps by model: of each quantity and of each place, and of all that was held out.
+    """Return the table of mean deviations of each model: by quantity, by place, and over all.
 
-    Where some of it was matched or fitted, of each quantity at each place, and which that is.
+    The means are over held-out data. If some data were not held out, the table has a row for each
+    quantity at each place, which says whether it was held out or matched.
     """
     sizes, rows = v.sizes, list[Row]()
 

@@ -50,8 +50,8 @@ SIGMA_LIMIT = 0.25
 def redrawn_share(sigma_r: float, sampling: Sampling = "sigma_r") -> float:
     """Return the share of random sigma that leave no possible mu and are drawn again.
 
-    With "sigma_n" these are the draws at or beyond `SIGMA_LIMIT`: exp(-1 / (32 sigma_r²)). With
-    "sigma_r" there are none.
+    mu is the input coefficient and sigma its uncertainty. With the ``sampling`` "sigma_n", a sigma of
+    `SIGMA_LIMIT` or more is drawn again: exp(-1 / (32 sigma_r²)). With "sigma_r" there is none.
     """
     if sampling == "sigma_r":
         return 0.0
@@ -63,9 +63,9 @@ def realisations(
 ) -> tuple[Array, Array]:
     """Return random input coefficients mu and their uncertainty sigma, (count, n) each.
 
-    sigma has a Rayleigh distribution with the scale sigma_r, mu a uniform one. With "sigma_r" mu is
-    from 2 sigma_r to 1 - 2 sigma_r. With "sigma_n" it is from 2 sigma to 1 - 2 sigma, and a sigma of
-    0.25 or more is drawn again.
+    sigma has a Rayleigh distribution with the scale ``sigma_r``, mu a uniform one. With the
+    ``sampling`` "sigma_r", mu is from 2 sigma_r to 1 - 2 sigma_r. With "sigma_n", it is from 2 sigma to
+    1 - 2 sigma, and a sigma of 0.25 or more is drawn again.
     """
     below = 1 - redrawn_share(sigma_r, sampling)
     sigma = sigma_r * np.sqrt(-2 * np.log1p(-below * (1 - rng.random((count, n)))))
@@ -76,10 +76,11 @@ def realisations(
 
 
 def trials(rng: np.random.Generator, mu: Array, sigma: Array, z: Array) -> None:
-    """Fill ``z`` (n, trials) with (alpha - mu)/sigma of truncated normals on [0, 1].
+    """Fill ``z`` (n, trials) with random (alpha - mu)/sigma of normal alpha truncated to 0 to 1.
 
-    Standard normals outside the interval are drawn again. With "sigma_n" these are at most one in
-    twenty, since mu is at least 2 sigma from the ends. With "sigma_r" one surface may have more.
+    ``mu`` and ``sigma`` are (n,). Values outside 0 to 1 are drawn again. With the sampling "sigma_n"
+    these are at most one in twenty, because mu is at least 2 sigma from 0 and 1. With "sigma_r" a
+    surface may have more.
     """
     rng.standard_normal(out=z)
     low, high = -mu / sigma, (1 - mu) / sigma
@@ -120,9 +121,11 @@ def _rounded(value: Array, size: Array) -> Array:
 
 
 def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
-    """Return the EMSE of no and of each unbounded calibration, (..., 4), from E ee', (..., n, n).
+    """Return the expected mean square error (EMSE) without and with each calibration, (..., 4).
 
-    n EMSE = tr G - 2 q'GS/(S'q) + |q|² S'GS/(S'q)², G = E ee'.
+    ``second_moment`` (..., n, n) is G = E ee' of the error e of the input coefficients. ``q`` (..., 3,
+    n) are the directions of three calibrations without bounds, and ``areas`` S (n,) are in m². n EMSE =
+    tr G - 2 q'GS/(S'q) + |q|² S'GS/(S'q)².
     """
     n = areas.size
     total = np.trace(second_moment, axis1=-2, axis2=-1)[..., np.newaxis]
@@ -136,11 +139,12 @@ def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Realisation:
-    """The data common to the trials of one realisation; the calibrations along the first axis of q.
+    """Hold what all trials of one realisation, with its mu and sigma, have in common.
 
-    ``q`` (3, n); ``delta`` and ``multiplier`` (3, 2 n), the table of delta(D) = S'(mu - clip(mu - D q,
-    0, 1)), increasing; ``least`` and ``most`` (3,), the ends of delta between which the closed form
-    stays in the box.
+    ``q`` (3, n) are the directions of the three calibrations. ``delta`` and ``multiplier`` (3, 2 n) are
+    tables of the change of the absorption area, delta(D) = S'(mu - clip(mu - D q, 0, 1)), over the
+    multiplier D. For delta from ``least`` to ``most`` (3,), no coefficient reaches 0 or 1, and the
+    closed form holds.
     """
 
     mu: Array
@@ -171,11 +175,11 @@ def tabulated(mu: Array, sigma: Array, areas: Array) -> list[Realisation]:
 
 @dataclass(frozen=True, eq=False)
 class TrialSums:
-    """Sums over trials.
+    """Hold sums over trials, from which the errors of three calibrations follow.
 
-    ``squares`` is e'e; ``products`` (4,) delta² and, by calibration, delta e'q; ``change`` (3,) e'e
-    of the bounded minus that of the unbounded estimate; ``active`` (3,) the number of trials in
-    which they differ.
+    ``squares`` is e'e of the errors e before calibration. ``products`` (4,) are delta², and delta e'q
+    of each calibration. ``change`` (3,) is e'e of the bounded minus that of the unbounded estimate.
+    ``active`` (3,) is the number of trials in which these estimates differ.
     """
 
     squares: float
@@ -232,7 +236,7 @@ def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     The methods are no calibration, scaling, least squares (LSE) and maximum likelihood (MLE), without
     bounds. ``mu`` and ``sigma`` (..., n) are the input coefficients and their standard deviation,
     ``areas`` (n,) the surface areas in m². The formula is Eq. 30 of Bellows & Katz (2025), with a term
-    that it omits: mu is not the mean of the truncated normal distribution of alpha.
+    that the equation omits: mu is not the mean of the truncated normal distribution of alpha.
     """
     # Integrated, since the closed forms (Eqs. 14 and 31) lose all digits in the tails.
     mean, variance = truncated_moments(mu, sigma**2, 0.0, 1.0, FINE)
@@ -276,9 +280,9 @@ _HALF_DIGIT = 0.005
 def table_1_range(areas: Array) -> tuple[Array, Array]:
     """Return the range of errors (EMSE) that the rounded values of Table 1 allow, (4,) each.
 
-    The printed mu and sigma are varied within half of their last digit. The expected mean square error
-    of each of four methods is computed as in `analytic_emse`. The range is the central 98 % of 4000
-    random values. ``areas`` are in m².
+    The printed mu and sigma are varied within half of their last digit, and the error of each of four
+    methods is computed as in `analytic_emse`. The range is the central 98 % of 4000 random values.
+    ``areas`` are in m².
     """
     rng = np.random.default_rng(0)
     shape = (4000, len(TABLE_1_MU))

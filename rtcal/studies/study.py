@@ -84,11 +84,12 @@ EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin holds all lar
 
 @dataclass(frozen=True, eq=False)
 class ScoreMoments:
-    """Sums over realisations.
+    """Hold sums over realisations, from which mean scores and their standard errors follow.
 
-    ``count`` is the number of realisations, ``active`` the number of trials with an active bound,
-    by calibration. ``sums`` are those of the series, ``products`` those of each pair of series. The
-    sampled series also have a histogram of sqrt(EMSE) and its extremes.
+    ``count`` is the number of realisations. ``active`` (3,) is the number of trials of each calibration
+    in which a coefficient reaches 0 or 1. ``sums`` are the sums of each series of errors, and
+    ``products`` those of the products of each pair of series. The series by trials also have a
+    histogram of sqrt(EMSE) and its extremes.
     """
 
     count: int
@@ -140,9 +141,10 @@ class ScoreMoments:
         return float(1 - ratio), gradient
 
     def standard_error(self, gradient: Array) -> float:
-        """Return the standard error of a smooth function of the means with that gradient.
+        """Return the standard error of a smooth function of the means that has this ``gradient``.
 
-        The delta method on independent realisations; NaN for a single one.
+        It follows from the scatter between realisations, which are independent (delta method). It is
+        NaN for a single realisation.
         """
         if self.count < 2:
             return float("nan")
@@ -205,7 +207,7 @@ class Study:
         return _table(rows, _SCORES)
 
     def controlled_scores(self) -> Table:
-        """Return the same scores as `scores`, with a smaller random error.
+        """Return the table that `scores` returns, with smaller random errors.
 
         Scores without bounds are computed by a formula. Scores with the bounds 0 and 1 add the
         simulated difference, which is 0 in trials in which no coefficient reaches a bound.
@@ -218,8 +220,8 @@ class Study:
     def bound_effects(self) -> Table:
         """Return the effect of the bounds 0 and 1 on the score, with its standard error.
 
-        It is the score with bounds minus that without. ``active_share`` is the share of trials in which
-        a coefficient reaches a bound.
+        The effect is the score with bounds minus that without. ``active_share`` is the share of trials
+        in which a coefficient reaches a bound.
         """
         rows = []
         for k, m in enumerate(CALIBRATIONS):
@@ -283,12 +285,13 @@ def run(
     sigma_r : float
         Scale of the Rayleigh distribution of sigma, the uncertainty of the input coefficients.
     realisations, trials : int
-        Number of random input coefficients (mu, sigma), and of random true coefficients for each.
+        Number of random sets of input coefficients (mu, sigma), and number of random sets of true
+        coefficients for each of them.
     seed : int
-        Seed of the random numbers. It gives the same study on any number of workers.
+        Seed of the random numbers. The study is the same for any number of workers.
     sampling : {"sigma_r", "sigma_n"}
-        Rule that keeps mu from 0 and 1: by 2 sigma_r, which gives the paper's scores, or by 2 sigma of
-        each surface, as the paper's text says.
+        Rule for the distance of mu from 0 and 1: 2 sigma_r, which gives the paper's scores, or 2 sigma
+        of each surface, as the paper's text says.
     scheduler : str, optional
         Address of a Dask scheduler whose workers compute; by default threads of this machine do.
     workers : int, optional
@@ -332,9 +335,10 @@ def analytic_scores(
 ) -> Table:
     """Return the calibration scores of each method without bounds, by a formula.
 
-    Arguments are those of `run`, whose random input coefficients have the same seed; no true
-    coefficients are drawn. Columns are those of `Study.scores`. Without bounds, the expected error
-    follows from the truncated normal's mean and variance: E ee' = diag(variance) + bias bias'.
+    For the parameters see `run`, whose random input coefficients are the same for the same seed; true
+    coefficients are not drawn. The table has the columns of `Study.scores`. The expected error follows
+    from the mean and variance of the truncated normal distribution: E ee' = diag(variance) + bias
+    bias'.
 
     Examples
     --------
