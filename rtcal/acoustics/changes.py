@@ -688,7 +688,7 @@ class NewMaterial(FileTable):
 
 
 class VariantTable(FileTable):
-    """Variant in a file. Its changes are its name by default; without changes it is the room."""
+    """Variant in a file. Its name is by default its changes; without changes it is the room."""
 
     change: list[Change] = []
     name: str | None = None

@@ -153,17 +153,18 @@ class MeanEquation(ReverberationEquation):
         return np.ones_like(mean)
 
     def linear(self) -> LinearEquation:
-        """Return the equation that a calibration inverts in place of this one.
+        """Return the equation that a calibration inverts in place of this equation.
 
-        It is this equation if T depends on the absorption area alone, else Eyring's, which gives the
-        same T if all coefficients are equal.
+        If T depends on the absorption area alone, it is this equation itself. Otherwise it is Eyring's,
+        which gives the same T if all coefficients are equal.
         """
         return self if isinstance(self, LinearEquation) else Eyring(self.speed_of_sound)
 
     def diffuse_field(self) -> MeanEquation:
         """Return the equation that a simulator's T follows in a diffuse field: this one, or Eyring's.
 
-        The deviation of a simulator from that equation then shows the error of the room's model alone.
+        The deviation of the simulator's T from that equation then shows the error of the room's model
+        alone.
         """
         return Eyring(self.speed_of_sound) if self.wrong_when_diffuse else self
 

@@ -421,7 +421,7 @@ _LEAST_ALIKE = 6
 
 
 def given_twice(measured: Measurement) -> tuple[str, ...]:
-    """Return a caution for each position whose values are all those of an earlier one."""
+    """Return a caution for each position with the same values as an earlier position."""
     every, names = np.hstack([*measured.values.values()]), [*map(" to ".join, measured.pairs)]
     notes, first = [], dict[bytes, str]()
     for name, row in zip(names, every + 0.0, strict=True):
@@ -611,8 +611,9 @@ _ALLOWED = 2.0
 def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
     """Return a caution for each band whose decay is curved in the mean over the positions.
 
-    A decay counts as curved if T30/T20 or EDT/T20 differs from 1 by more than its limit and by more
-    than twice its scatter in straight decays. Only positions that have both parameters count.
+    A decay counts as curved if the ratio T30/T20 or EDT/T20 differs from 1 by more than the limit of
+    this ratio, and by more than twice the ratio's scatter in straight decays. Only positions that have
+    both parameters of a ratio count.
     """
     texts: dict[float, list[str]] = {}
     for parameter, slope in of_kind(DecaySlope).items():

@@ -143,7 +143,7 @@ def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
 
 
 def require_repeats(placed: Sequence[Pair], place: str) -> None:
-    """Raise DataError if repeats are stated, but each pair is there only once, (n_pairs,)."""
+    """Raise DataError if repeats are stated, but each source-receiver pair was measured only once."""
     if len({*placed}) == len(placed):
         raise DataError(
             f"{place}: repeats=True has no effect, because every source and receiver occurs "

@@ -829,7 +829,8 @@ def _slope(m: Array) -> Array:
 class Level(Observable):
     """Relative level in dB, with a reference that is the same for all receivers of a source.
 
-    It is sound strength G without a calibrated source; where G is given, G is used as the level.
+    The relative level is sound strength G without a calibrated source. If G was measured, G is used in
+    its place.
     """
 
     key, label, rank = "level", "level", 90

@@ -746,7 +746,7 @@ class CalibrationResult(Result):
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
 
         It follows from the room's sigma and the uncertainty of T, without the effect of bounds, so that
-        it can be compared with the room's sigma.
+        it can be compared with the input sigma.
         """
         return read_only_view(self.joint.posterior_sigma[self._rows])
 

@@ -268,8 +268,8 @@ def as_objective(term: Any) -> Objective:
 class PriorDeviation(Term):
     """Term that keeps coefficients near the input: half the sum of squared deviations in sigmas.
 
-    It is ½ x'R⁻¹x with x = (alpha - mu) / sigma, the input coefficients mu, and the correlation R of
-    their errors.
+    The term is ½ x'R⁻¹x with x = (alpha - mu) / sigma, the input coefficients mu, and the correlation R
+    of their errors.
 
     When to use it: always, or `HuberDeviation` in its place. With `ExactMatch` and no correlation it
     gives the maximum-likelihood estimate of Bellows & Katz (2025), Eq. 19, and with
@@ -383,8 +383,8 @@ def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]
 class HuberDeviation(Term):
     """Term that keeps coefficients near the input, but allows few of them to be far from it.
 
-    It is the sum of e x²/2 + (1 - e) h(x) over x = (alpha - mu) / sigma, with h(x) = x²/2 for |x| <= t
-    and t |x| - t²/2 beyond (Huber 1964, Eq. 2.4). e = 0.01 makes the answer unique.
+    The term is the sum of e x²/2 + (1 - e) h(x) over x = (alpha - mu) / sigma, with h(x) = x²/2 for
+    |x| <= t and t |x| - t²/2 beyond (Huber 1964, Eq. 2.4). e = 0.01 makes the answer unique.
 
     When to use it: when some sigma may be wrong, as when a material was taken for another. One
     coefficient may then move far, and the others need not follow.
@@ -421,7 +421,7 @@ class HuberDeviation(Term):
 class ExactMatch:
     """Constraint that the coefficients give the measured T exactly, in every band that has one.
 
-    It is S'alpha = b: the absorption area equals that of T (Bellows & Katz 2025, Eq. 4).
+    The constraint is S'alpha = b: the absorption area equals that of T (Bellows & Katz 2025, Eq. 4).
 
     When to use it: when the uncertainty of T is not known. Errors of T then change the coefficients,
     which `SoftMatch` avoids.
@@ -500,8 +500,8 @@ class MatchWithin(ExactMatch):
 class SoftMatch(Term):
     """Term that matches the measured T within its uncertainty, so that errors of T change alpha less.
 
-    It is ½ sum ((S'alpha - b) / u_b)², with the absorption area S'alpha, the area b that T needs and
-    its standard uncertainty u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
+    The term is ½ sum ((S'alpha - b) / u_b)², with the absorption area S'alpha, the area b that T needs,
+    and its standard uncertainty u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
 
     When to use it: whenever the uncertainty of T is known, and always for several configurations. With
     weight 1 and `PriorDeviation` the answer is the most probable one.
@@ -591,8 +591,8 @@ class SoftMatch(Term):
 class LinearObservations(Term):
     """Term for measured values that depend linearly on the coefficients, beside T.
 
-    It is ½ (y - J alpha)' C⁻¹ (y - J alpha), with the values y, their derivatives J by alpha and the
-    covariance C of their errors. These are given as an `Observed` when the problem is solved:
+    The term is ½ (y - J alpha)' C⁻¹ (y - J alpha), with the values y, their derivatives J by alpha and
+    the covariance C of their errors. y, J and C are given as an `Observed` when the problem is solved:
     ``problem.solve(measured, observed={term: Observed(...)})``.
 
     When to use it: where measurements determine more of alpha than one T per band does, as those at
@@ -627,12 +627,12 @@ class LinearObservations(Term):
 class BandSmoothness(Term):
     """Term that keeps the changes of a material's coefficients similar in neighbouring bands.
 
-    It is ½ sum (x_k+1 - x_k)² / d_k, with the deviation x = (alpha - mu) / sigma from the input and d_k
-    octaves between bands k and k+1.
+    The term is ½ sum (x_k+1 - x_k)² / d_k, with the deviation x = (alpha - mu) / sigma from the input
+    and d_k octaves between bands k and k+1.
 
     When to use it: with `SoftMatch` or bands without T, when a material's error is expected to change
-    slowly over frequency. It smooths the change and not alpha, so that a resonant absorber keeps its
-    peak. docs/modelling.md says when it changes nothing.
+    slowly over frequency. The term smooths the change and not alpha, so that a resonant absorber
+    keeps its peak. docs/modelling.md says when it changes nothing.
     """
 
     def __call__(self, m: Model) -> Any:

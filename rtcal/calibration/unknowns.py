@@ -488,7 +488,7 @@ class Numbers:
     def match_whitener(self) -> Array:
         """Lower triangular matrix W in 1/m² for which W'W is the inverse of `target_covariance`.
 
-        It has n_configurations * n_bands rows and columns; those of a band without T are 0.
+        W has n_configurations * n_bands rows and columns; those of a band without T are 0.
         """
         used = np.flatnonzero(self.matched.ravel())
         whitener = np.zeros_like(self.target_covariance)

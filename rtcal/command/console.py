@@ -310,7 +310,7 @@ def _address(context: click.Context, parameter: click.Parameter, text: str | Non
 
 
 def flag(name: str, help: str, *names: str, **more: Any) -> Decorator:
-    """Return an option without a value; ``names`` are further ones."""
+    """Return an option without a value; ``names`` are further names of the option."""
     return click.option(f"--{name}", *names, is_flag=True, help=help, **more)
 
 
@@ -617,7 +617,7 @@ def fit_ending(option: str, path: str | None, *written: str) -> None:
 
 
 def said() -> Callable[[str], None] | None:
-    """Return what prints progress where no bar is shown, one line on standard error; None if quiet."""
+    """Return a function that prints progress in lines, in place of a bar; None with ``--quiet``."""
     return None if is_quiet() else warn
 
 
@@ -628,7 +628,7 @@ def bar_wanted() -> bool:
 
 @contextmanager
 def control_bar() -> Iterator[Callable[[int, int], None]]:
-    """Show a bar of the simulator's reference simulations; it yields what counts them."""
+    """Show a bar of the simulator's reference simulations, and yield the function that counts them."""
     from rtcal.loop.measured_pairs import RUNS
     from rtcal.support.speed import bar, following
 

@@ -46,7 +46,7 @@ def told(found: Result, out: Path | None) -> None:
 
 
 def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
-    """Return what ``read`` makes of the text of a file of a kind; its DataError names the file."""
+    """Return the result of ``read`` for the text of a file of this kind; errors name the file."""
     with expecting(kind, path):
         return read(read_text(path, MAX_BYTES))
 
@@ -171,7 +171,7 @@ def directed(known: Any) -> Any:
 def calibrated(
     room: Room, measured: str | None, also: tuple[tuple[str, str], ...], equation: LinearEquation
 ) -> CalibrationResult:
-    """Return the calibration of a room to its measured T, and to that of further states."""
+    """Return the calibration of a room to its measured T, and to that of further configurations."""
     from rtcal.calibration.measured import tell_data, times_in_room
     from rtcal.calibration.methods import calibrate
     from rtcal.calibration.unknowns import Configurations

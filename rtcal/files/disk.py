@@ -100,7 +100,7 @@ def at_once() -> Iterator[None]:
 
 
 def may_replace(path: str | os.PathLike[str] | None = None) -> None:
-    """Let the running command replace a file that rtcal did not write; every file without a path."""
+    """Let the running command replace a file that rtcal did not write; None for any such file."""
     if _current is None or _current.replaced is None:
         return
     if path is None:

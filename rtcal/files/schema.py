@@ -252,7 +252,7 @@ def json_object(text: str) -> dict[str, Any]:
 
 
 def toml_table(text: str) -> dict[str, Any]:
-    """Return the table that a TOML text holds; DataError as `json_object`."""
+    """Return the table that a TOML text holds; DataError for a text that is no TOML."""
     if not isinstance(text, str):
         raise DataError(f"content = {shown(text)} must be a text")
     if any(line.count(".") > MAX_DOTS for line in text.split("\n") if "=" not in line[:MAX_DOTS]):

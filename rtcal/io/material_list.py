@@ -414,19 +414,19 @@ def coefficient(value: float, unit: float) -> float:
 
 
 def tokens(pattern: str, text: str, start: int) -> list[Token]:
-    """Return what matches in a part of a file's text that begins at position ``start``."""
+    """Return the matches of a pattern in a part of a file's text that begins at position ``start``."""
     return [(m[0], start + m.start(), start + m.end()) for m in re.finditer(pattern, text)]
 
 
 def numbers(row: Sequence[Token], place: str) -> tuple[float, ...]:
-    """Return the numbers of a row; DataError names the place of what is none."""
+    """Return the numbers of a row; DataError, which names ``place``, for a text that is no number."""
     return tuple(number(token, place) for token, _, _ in row)
 
 
 def coefficients(
     row: Sequence[Token], place: str, unit: float = 1.0, name: str = "alpha"
 ) -> tuple[tuple[float, ...], tuple[Span, ...]]:
-    """Return the coefficients of a row, and where the file's text has each."""
+    """Return the coefficients of a row, and the start and end of each number in the file's text."""
     values = numbers(row, place)
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:

@@ -366,7 +366,7 @@ class Polygon:
 
 
 class FaceSet:
-    """Some faces of a mesh that is mended."""
+    """Some faces of a mesh that is repaired."""
 
     def __init__(self, mend: Mending, faces: Iterable[Face] = ()) -> None:
         self.mend, self.faces = mend, [*faces]
@@ -618,7 +618,7 @@ def cleaned(part: FaceSet) -> FaceSet:
 
 
 def without_repetitions(part: FaceSet) -> FaceSet:
-    """Return the faces without those that are drawn again, which are kept to be noted."""
+    """Return the faces without those that are drawn a second time, which are kept for a note."""
     first: dict[frozenset[int], Face] = {}
     for face in part.faces:
         if first.setdefault(frozenset(face.corners), face) is not face:
@@ -974,7 +974,7 @@ class Cut(NamedTuple):
 
 
 class Walls:
-    """The faces of a shell and of the objects in it, to be found by where they are."""
+    """The faces of a shell and of the objects in it, with a search for those near a place."""
 
     def __init__(self, shell: FaceSet) -> None:
         self.mend, self.all = shell.mend, FaceSet(shell.mend)
@@ -999,7 +999,7 @@ class Walls:
 
 
 def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
-    """Return the pieces of a plane component on the walls nearest to it; none if it lies on none."""
+    """Return the pieces of a plane component on the walls nearest to it; [] if it lies on no wall."""
     mend, corners = part.mend, part.points
     normal, thick = best_plane(corners)
     if thick > max(mend.weld, PLANARITY):
@@ -1396,7 +1396,7 @@ def _require_shell(shell: FaceSet, outside: Sequence[FaceSet]) -> None:
 
 
 def is_within(hull: Polyhedron, part: FaceSet) -> bool:
-    """Return whether a component is in the room: its corners, but for those at the walls, are."""
+    """Return whether all corners of a component are in the room or at its walls."""
     outside = part.points[~hull.contains(part.points)]
     return not (hull.wall_distance(outside) > OFFSET + part.mend.weld).any()
 

@@ -195,7 +195,7 @@ def impulse_response(
     Raises
     ------
     DataError
-        If the recording is silent, is the signal itself, or holds it not at all or not as a whole.
+        If the recording is silent, is the signal itself, or does not contain the whole signal.
     """
     pyfar, _ = ir.libraries()
     if not np.any(recorded):

@@ -111,7 +111,7 @@ _EXPANDED = re.compile(r"u\w?\s*[(\[]?\s*k\s*=.*")
 
 
 def plain(text: str) -> str:
-    """Return a word as it is compared.
+    """Return a word for comparison: in lower case, without blanks and signs.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def plain(text: str) -> str:
 
 
 def parameters() -> Mapping[str, str]:
-    """Return an observable's key by its spellings, of those that are registered by now."""
+    """Return the key of each registered parameter by each of its spellings."""
     return _by_spelling(tuple(OBSERVABLES.values()))
 
 

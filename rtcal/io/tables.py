@@ -189,7 +189,7 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
     columns : str, optional
         Meaning of each column in order, for a table without usual headers, with the first line of
         values (by default the second) and optionally the last: ``"from line 3 to 9: receiver; T20 [ms]
-        at 500 Hz; -"``. The error message proposes it.
+        at 500 Hz; -"``. An error message proposes this text.
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers, if the values are means over several pairs.
     repeats : bool, optional
@@ -639,7 +639,7 @@ def _meanings(columns: Sequence[Column | None], options: _Options) -> list[str]:
 
 
 def columns_text(line: str, meanings: Sequence[str]) -> str:
-    """Return ``columns`` for a message, of these lines and meanings."""
+    """Return the option ``columns`` as text for a message, from the first line and the meanings."""
     return f'columns="from line {line}: {"; ".join(meanings)}"'.replace('\\"', "'")
 
 
@@ -1290,7 +1290,7 @@ def means(measurement: Measurement) -> list[str]:
 
 
 def spread(values: Sequence[float] | Array, form: str) -> str:
-    """Return the ends of some values; one number if they are printed alike."""
+    """Return the least and the largest value as text; one number if both are printed alike."""
     ends = dict.fromkeys(format(v, form) for v in (np.min(values), np.max(values)))
     return " to ".join(ends)
 

@@ -137,8 +137,8 @@ def command(
     room : Room
         Room whose coefficients change.
     time_limit : float, optional
-        Longest time in s that the program may take. It is then ended with the processes that it
-        started, except daemons and others that have a separate session.
+        Longest time in s that the program may take. After it the program is ended, and all processes
+        that it started, except daemons and others that have a separate session.
 
     Raises
     ------

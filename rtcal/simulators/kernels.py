@@ -316,7 +316,7 @@ def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
 def add_energy(
     batch: Batch, weighing: Weighing, reflection: Array, level: Array, sums: Array, out: Array
 ) -> None:
-    """Add energies to ``out`` as `histogram` does, which makes the arrays that this overwrites."""
+    """Add energies to ``out`` as `histogram` does, which makes the arrays that are overwritten."""
     events, starts, lengths, weights = batch
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
@@ -418,7 +418,7 @@ def most_hits(events: Any, starts: Any, held: Any) -> int:
 
 @compiled(reorder=False)
 def largest_sum(events: Any, starts: Any, held: Any, hits: Any) -> int:
-    """Return what `most_hits` does, which makes the array ``hits`` that this overwrites."""
+    """Return what `most_hits` returns; `most_hits` makes the array ``hits``, which is overwritten."""
     n_codes, n_groups = held.shape
     most = np.int64(0)
     for path in range(len(starts) - 1):
@@ -474,7 +474,7 @@ def add_changed(
     sums: Array,
     hits: Any,
 ) -> None:
-    """Add energies as `histogram_changed` does, which makes the arrays that this overwrites."""
+    """Add energies as `histogram_changed` does, which makes the arrays that are overwritten."""
     events, starts, lengths, weights = batch
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape

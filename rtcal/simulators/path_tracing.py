@@ -1253,10 +1253,10 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the derivatives of `observe` by the scattering coefficient s of each material.
 
-        They are by the log odds ln(s / (1 - s)), which change equally in all bands, and 0 for s = 0 or
-        1. They come from ``number`` independent groups of paths, where ``number`` must divide
-        ``n_batches``: the mean over the groups is the derivative, and the differences are noise. See
-        `Paths.gradient`.
+        The derivatives are by the log odds ln(s / (1 - s)), which change equally in all bands, and 0
+        for s = 0 or 1. They come from ``number`` independent groups of paths, where ``number`` must
+        divide ``n_batches``: the mean over the groups is the derivative, and the differences are noise.
+        See `Paths.gradient`.
 
         Returns
         -------

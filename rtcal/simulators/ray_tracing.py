@@ -86,9 +86,9 @@ class RayTracing(Tracer):
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
-        Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins). The first bin starts with
-        the direct sound, whose mean energy is 1/(4 pi r²). Later energy is too high by a factor of up
-        to 2, because pyroomacoustics counts scattered sound twice.
+        Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins), and they last ``seconds``
+        s. The first bin starts with the direct sound, whose mean energy is 1/(4 pi r²). Later energy is
+        too high by a factor of up to 2, because pyroomacoustics counts scattered sound twice.
         """
         alpha = np.maximum(check_alpha(self, alpha), LEAST_ALPHA)
         check_seconds(seconds)

@@ -495,8 +495,9 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     def impulse_responses(self, alpha: Array, duration: float) -> Array:
         """Return pressure impulse responses from the emission on, (n_pairs, n_bands, n_samples).
 
-        ``duration`` is in s, at most ``longest``. The response of a band has the band's coefficients
-        and is not filtered.
+        ``alpha`` (n_materials, n_bands) are the coefficients. ``duration`` is in s, at most
+        ``longest``. The response of a band is that of walls with the band's coefficients, and is not
+        filtered.
         """
         alpha = check_alpha(self, alpha)
         if checks.positive("duration", duration, "s") > self.longest:

@@ -154,5 +154,5 @@ def bar(
 
 
 def following(shown: Any) -> Progress:
-    """Return what moves a bar to the number of finished steps."""
+    """Return a function that moves a bar to the number of finished steps."""
     return lambda done, _: shown.update(done - shown.n)
