@@ -186,7 +186,7 @@ class Corrected:
 
     @property
     def reports(self) -> dict[str, ExportReport]:
-        """Reports on what each list of materials cannot hold, and on its bands, by the file's name."""
+        """Reports on what each list of materials cannot represent, and on its bands, by file name."""
         return {name: report for name, (_, report) in self._lists.items()}
 
     @cached_property

@@ -196,7 +196,7 @@ def probability_off(room: Room) -> float:
 
 
 def sharpness(room: Room) -> float:
-    """Return the power to which the probabilities are taken before they are made to sum to 1."""
+    """Return the power to which probabilities after the measurement are raised before normalisation."""
     return 1.0 + SHARPER * (1.0 - relative_sigma(room))
 
 
@@ -215,7 +215,7 @@ def log_priors(odds: ArrayLike, off: float, no_effect: float = NO_EFFECT) -> Arr
 def prior_of(
     room: Room, effects: Sequence[Effect], stated: Mapping[str, float], without: Sequence[str] = ()
 ) -> Prior:
-    """Return the prior: the effects' own odds, or those that are ``stated`` by name."""
+    """Return the prior, with each effect's own odds or those of the same name in ``stated``."""
     off = probability_off(room)
     if COEFFICIENTS in stated:
         off = stated[COEFFICIENTS] / (1 + stated[COEFFICIENTS])
@@ -337,7 +337,7 @@ def by_direction(changes: Array, slopes: Array) -> Array:
 
 
 def factors(changes: Array, slopes: Array) -> Array:
-    """Return `by_direction`; of more directions than values as many combinations are left."""
+    """Return the errors of `by_direction`, in at most as many combinations as there are values."""
     full = by_direction(changes, slopes)
     if full.shape[2] <= full.shape[1]:
         return full
@@ -346,7 +346,7 @@ def factors(changes: Array, slopes: Array) -> Array:
 
 
 def drawn(changes: Array, materials: Sequence[str], rng: np.random.Generator, n: int) -> Array:
-    """Draw usual changes of alpha in common, (n, n_configurations, n_materials, n_bands)."""
+    """Draw n common errors of alpha, (n, n_configurations, n_materials, n_bands), from `directions`."""
     together = rng.standard_normal((n, 2))
     own = [of_name.standard_normal((n, 2)) for of_name in by_name(rng, materials)]
     z = np.concatenate([together, np.stack(own, axis=-1).reshape(n, -1)], axis=1)
@@ -354,7 +354,7 @@ def drawn(changes: Array, materials: Sequence[str], rng: np.random.Generator, n:
 
 
 def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Generator]:
-    """Return a generator for each name: what is drawn for it depends on no other and on no order."""
+    """Return a random generator for each name, which does not depend on other names or their order."""
     of_all = int(rng.integers(2**63))
     digests = [hashlib.sha256(name.encode()).digest()[:8] for name in names]
     return [np.random.default_rng([of_all, int.from_bytes(digest)]) for digest in digests]

@@ -299,7 +299,7 @@ class Finding(Result):
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """Common error of all input coefficients beside the most probable effects; None if unlikely."""
+        """Common error of all input coefficients, in addition to the most probable effects; or None."""
         of = self.candidate(self.members[-1]) if self.members else None
         return None if of is None else of.coefficients
 
@@ -386,7 +386,7 @@ class Finding(Result):
 
     @property
     def leading(self) -> Reason | None:
-        """Caution that must be read before the result, because T is far off; None without one."""
+        """Caution to read before the result, because T is far from the model's; None without one."""
         if self.kind == "positions":
             return self.mistake
         first = next(iter(self.reasons), None)

@@ -91,8 +91,8 @@ def data_of(case: Case) -> str:
 
 
 def statement_of(room: Room) -> str:
-    """Return `IN_SITU` or `HANDBOOK`: which of the judged rooms a room resembles.
+    """Return `IN_SITU` or `HANDBOOK`: the kind of coefficients that the room's input sigma resembles.
 
-    By `rtcal.finder.evidence.relative_sigma`: a handbook's is 1.
+    The decision is by `rtcal.finder.evidence.relative_sigma`, which is 1 for a handbook.
     """
     return HANDBOOK if relative_sigma(room) > 0.95 else IN_SITU

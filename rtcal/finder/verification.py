@@ -98,7 +98,7 @@ MISSES = "misses"
 
 @dataclass(frozen=True)
 class Miss:
-    """Hold a band in which the corrected model does not have the values to which it was calibrated."""
+    """Hold a band in which the corrected model does not reproduce the values it was calibrated to."""
 
     quantity: str
     place: str
@@ -704,7 +704,7 @@ def _misses_of_means(case: Case, observed: ObservedFeatures, features: Array) ->
 
 
 def residual_map(verified: Verification) -> Array:
-    """Return the last model less measured over its standard deviation, as `Finding.residuals`."""
+    """Return deviations of the last model over their standard deviations, as `Finding.residuals`."""
     finding = verified.finding
     added = [c for c in finding.candidates if c.effect == verified.effect]
     case, bias = finding.with_effects(added=added), finding.discrepancy.bias

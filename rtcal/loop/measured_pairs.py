@@ -1168,12 +1168,12 @@ class MaterialScattering:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the values by the scattering that is not known, (n, n)."""
+        """Covariance of the values by the unknown scattering, (n, n)."""
         return np.asarray(self.slope @ self.prior @ self.slope.T)
 
     @property
     def back(self) -> Array:
-        """Change of the values from the traced scattering to the stated one, (n,)."""
+        """Change of the values from the traced scattering to the input scattering, (n,)."""
         return np.asarray(-self.slope @ self.traced)
 
     def likely(self, pull: Array) -> Array:
@@ -1228,9 +1228,9 @@ def scattered(tracer: PathTracing, log_odds: Array, model: ScatteringModel) -> P
 
 
 def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering:
-    """Return the scattering of a tracer, whose log odds were changed and have standard deviations.
+    """Return the scattering of a tracer after the fit, with its uncertainty.
 
-    Both (n_materials,).
+    ``log_odds`` (n_materials,) are the changes by the fit, ``posterior`` their standard deviations.
     """
     s = tracer.scattering
     return Scattering(
@@ -1263,7 +1263,7 @@ class ErrorsByScattering:
 
     @property
     def of_model(self) -> Array:
-        """What the model "vector" adds to every value, (n_parameters, n_pairs, n_bands)."""
+        """Change of every value by the scattering model "vector", (n_parameters, n_pairs, n_bands)."""
         return np.asarray(self.coefficients[1])
 
     def covariance(self, level: float, model: ScatteringModel) -> Array:

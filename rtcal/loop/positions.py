@@ -236,7 +236,7 @@ class PairsModel:
         return np.asarray((self.data.observations.values - self.values(alpha))[self.data.used])
 
     def gaps(self, alpha: Array) -> Array:
-        """Return root mean square gaps in JND: of all that is matched, and of each parameter."""
+        """Return root mean square deviations in JND: of all matched values, and of each parameter."""
         gap = self.data.gap(self.values(alpha))
         return np.array([rms(gap), *rms(gap, axis=(1, 2))])
 
@@ -291,7 +291,7 @@ class Fitted:
 
     @property
     def offset(self) -> Array:
-        """How much larger values are with the scattering traced than with that stated, (n_used,)."""
+        """Values with the traced scattering minus those with the input scattering, (n_used,)."""
         return np.asarray(-self.materials.back[self.model.used])
 
     @property
@@ -305,17 +305,17 @@ class Fitted:
         return np.asarray(self.model.values(alpha)[self.model.data.used])
 
     def jacobian(self, alpha: Array) -> Array:
-        """Return their derivatives, (n_used, n_materials * n_bands)."""
+        """Return the derivatives of the used values by alpha, (n_used, n_materials * n_bands)."""
         return self.model.jacobian(alpha)
 
     @property
     def residual(self) -> Array:
-        """Measured less simulated with the scattering stated, by derivatives, (n_used,)."""
+        """Measured minus simulated values with the input scattering, by derivatives, (n_used,)."""
         return self.model.residual(self.alpha) + self.offset
 
     @property
     def gaps(self) -> Array:
-        """Root mean square gaps in JND: of all that is matched, and of each parameter."""
+        """Root mean square deviations in JND: of all matched values, and of each parameter."""
         return self.model.gaps(self.alpha)
 
     @property
@@ -1230,7 +1230,7 @@ class PositionsResult(Result):
 
     @property
     def doubts(self) -> list[Row]:
-        """Cautions as rows of a table: what, where, and what to do."""
+        """Cautions as rows of a table: the subject, the place, and what to do."""
         odd = [
             f"{' to '.join(pair)} ({misfit:.1f})"
             for pair, misfit in zip(self.pairs, self.misfit, strict=True)

@@ -265,7 +265,7 @@ class PositionsPrediction(Result):
 def quantiles(
     middle: Array, sigma: Array, slope: Array, bend: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the ends of the 90 % intervals, and where they are those of samples."""
+    """Return lower and upper ends of 90 % intervals, and whether they are those of random samples."""
     sampled = np.abs(bend) * Z**2 > _BENT * sigma
     low, high = middle - Z * sigma, middle + Z * sigma
     rest = np.sqrt(np.maximum(sigma**2 - slope**2, 0.0))

@@ -346,7 +346,7 @@ class ModesResult(Result):
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Cautions about bands; those below the Schroeder frequency only where modes are missing."""
+        """Cautions about bands; a band below the Schroeder frequency has one only if it lacks modes."""
         centres = self.prior.centre_frequencies
         # The QP had no T of these.
         low = self.below & np.isfinite(self.data.reverberation_time)

@@ -690,7 +690,7 @@ class Point:
 
     @cached_property
     def off(self) -> Complex:
-        """Deviation of the measured spectra from those of the modes, (n_bins, n_pairs)."""
+        """Deviation of the measured spectra from the fitted spectra, (n_bins, n_pairs)."""
         parts = np.vstack([self.amplitudes.real, self.amplitudes.imag])
         return np.asarray(self.spectra.values - self.columns[:, : len(parts)] @ parts)
 

@@ -723,7 +723,7 @@ class AtFrequencies:
         return np.asarray(np.clip(self.mean + self.sigma * (shift @ self.weights.T), 0.0, 1.0))
 
     def slope(self) -> Array:
-        """Return their derivatives by those in bands, (n_materials, n_frequencies, n_bands)."""
+        """Return derivatives of `alpha` by alpha in bands, (n_materials, n_frequencies, n_bands)."""
         sigma = self.prior.sigma
         inverse = np.divide(1.0, sigma, out=np.zeros_like(sigma), where=sigma > 0)
         return np.asarray(self.sigma[:, :, np.newaxis] * self.weights * inverse[:, np.newaxis, :])
@@ -775,7 +775,7 @@ class RoomPoles:
         return self.poles(self.room.alpha)
 
     def poles(self, alpha: Array) -> Poles:
-        """Return the poles of all modes for coefficients, in the order of those `calculated`."""
+        """Return the poles of all modes for coefficients ``alpha``, in the order of `calculated`."""
         own = np.array_equal(alpha, self.room.alpha)
         walls = [of[self.rows].tobytes() for of in (self.at.mean, self.at.alpha(alpha))]
         known, key = self.modes.known, walls[0] if own else b"".join(walls)

@@ -248,7 +248,7 @@ class TimeChange:
 
     @cached_property
     def materials(self) -> tuple[str, ...]:
-        """Every material: those that are known, and then the new ones."""
+        """Names of all materials: first those of the known room, then the new ones."""
         return (*self.known.materials, *(self.after.materials[i] for i in self._new))
 
     @cached_property
@@ -295,7 +295,7 @@ class TimeChange:
 
     @cached_property
     def unknowns(self) -> Unknowns:
-        """The draws of all unknowns, given every measured T."""
+        """Random values of all unknowns, given every measured T."""
         before, known, room = _drawn_before(self.known, self.assumptions), self.known, self.after
         if not self._new:
             return before
@@ -313,7 +313,7 @@ class TimeChange:
         )
 
     def log_ratio(self, unknowns: Unknowns | None = None) -> Array:
-        """Return draws of ln (T of the other state / T before), (n_bands, n_draws)."""
+        """Return random values of ln (T after / T before), (n_bands, n_draws)."""
         if unknowns is None and self.is_placed:
             before = _log_time_before(self.known, self.assumptions)
         else:
@@ -333,7 +333,7 @@ class TimeChange:
 
     @cached_property
     def known_alpha(self) -> Unknowns:
-        """Unknowns with the calibrated or stated alpha, and no error of anything else."""
+        """Unknowns with the calibrated or input alpha, and without any other error."""
         alpha = np.vstack([self.known.alpha, self.after.alpha[self._new]]).T[:, :, np.newaxis]
         nothing = np.zeros((len(alpha), 1))
         return Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
@@ -408,7 +408,7 @@ class TimeChange:
     def log_time(
         self, state: int, unknowns: Unknowns | None = None, bands: slice = slice(None)
     ) -> Array:
-        """Return draws of ln T in some bands, (n_bands, n_draws); state 0 is that before."""
+        """Return random values of ln T in some bands, (n_bands, n_draws); state 0 is that before."""
         unknowns = unknowns or self.unknowns
         even, air = self._even(state, unknowns, bands)
         # u leads through the equations by the T that they give, the shortest first.

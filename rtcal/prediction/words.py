@@ -140,7 +140,7 @@ def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
-    """Return the largest of an interval's parts, (n_bands,) each, and what narrows it."""
+    """Return the largest of an interval's parts, (n_bands,) each, and how to narrow the interval."""
     largest, share = next((name, float(part.mean())) for name, part in parts.items())
     return (
         f"Next: to narrow the interval, {advice(largest, n_states)}. The largest part of its variance "
@@ -172,7 +172,7 @@ def by_program(
 
 
 def gained(without: Array, half_width: Array) -> str:
-    """Return by how much calibrating narrowed an interval; half widths over T, (n_bands,)."""
+    """Return in words by how much calibration narrowed an interval, from half widths over T."""
     before, after = (100 * np.median(of) for of in (without, half_width))
     how = "narrowed" if after < before else "did not narrow"
     return f"Calibration {how} the interval: ± {before:.0f} % of T without it, ± {after:.0f} % with it."

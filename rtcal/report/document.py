@@ -207,7 +207,7 @@ def page_files(
 
 
 def source(picture: Picture) -> str:
-    """Return a figure as a data URI, whose ids cannot clash with those of the page."""
+    """Return a figure as a data URI, whose ids cannot clash with other ids of the page."""
     return data_of(figures.rendered(picture.figure, "svg"), "image/svg+xml")
 
 
@@ -269,7 +269,7 @@ def _in_style(text: str) -> str:
 
 
 def flat(blocks: Iterable[Any]) -> Iterator[Any]:
-    """Yield blocks, and the parts of those that stand side by side."""
+    """Yield all blocks, with the parts of `SideBySide` one after the other."""
     for block in blocks:
         if isinstance(block, SideBySide):
             for part in block.parts:

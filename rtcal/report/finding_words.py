@@ -743,7 +743,7 @@ _ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states
 
 
 def cautions(f: Finding) -> list[str]:
-    """Return reasons to doubt the answer, and likely typing errors in what was read."""
+    """Return reasons to doubt the answer, and likely typing errors in the input."""
     room, off, typed = f.case.room, f.coefficients, list[str]()
     if f.kind == "means":
         every = [c.measured for c in f.case.configurations]
@@ -770,7 +770,7 @@ def cautions(f: Finding) -> list[str]:
 
 
 def details(f: Finding) -> list[str]:
-    """Return sizes, sets, and what cannot be distinguished."""
+    """Return sentences on sizes, sets of effects, and effects that cannot be distinguished."""
     if f.kind != "states":
         of_kind = _details_of_means if f.kind == "means" else _details_at_positions
         return [*filter(None, of_kind(f))]
@@ -869,7 +869,7 @@ _VERDICTS = {
 
 
 def evidence(f: Finding) -> str:
-    """Return the odds that something is missing, the required odds, and the verdict."""
+    """Return the odds that something is missing, the odds required for detection, and the verdict."""
     what = "changed" if f.kind == "states" else "is missing"
     words = f.detection.deciding
     score, threshold, of = f.score, f.threshold, ""
@@ -916,7 +916,7 @@ def _of(share: Share, what: str) -> str:
 
 
 def track_record(f: Finding) -> str:
-    """Return how many such findings were right in rooms that were not used to make the finder."""
+    """Return how many such findings were right, in rooms that were not used to make the finder."""
     rooms = "In simulated rooms that were not used to make the finder"
     if f.kind == "states":
         return ""
@@ -939,7 +939,7 @@ def track_record(f: Finding) -> str:
 
 
 def record_of_positions(room: Room, match: Sequence[str]) -> str:
-    """Return how often hidden effects were detected and empty rooms flagged, with such data."""
+    """Return how often `find` detected hidden effects, and flagged empty rooms, with similar data."""
     stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
     record = record_of("positions", stated, data)
     return (
@@ -953,7 +953,7 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
 
 
 def record_of_means(verdict: str, data: str) -> str:
-    """Return how often such a verdict was right with such data, as `records` names them."""
+    """Return how often this verdict was right with this kind of data, as `records` names both."""
     record = record_of("means", data)
     rooms = f"In simulated rooms that were not used to make the finder, with {data},"
     if verdict == UNKNOWN:
@@ -1001,7 +1001,7 @@ def candidates(f: Finding) -> Table | None:
 
 
 def numbers(f: Finding) -> list[Block]:
-    """Return what was measured by band: of means the deviations, of two states T and the change."""
+    """Return tables by band: deviations for means; T and its change for two states."""
     if f.kind != "states":
         if f.kind != "means":
             return []
@@ -1043,7 +1043,7 @@ def _largest_deviations(f: Finding, tables: Sequence[Table]) -> Block:
 
 
 def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
-    """Return the deviations by configuration; ``of`` says what is in the model."""
+    """Return tables of the deviations of each configuration; ``of`` names the effects in the model."""
     made, labels = list[Table](), bands.labels(f.case.room.centre_frequencies)
     for c, by_feature in zip(f.case.configurations, residuals, strict=True):
         named = zip(feature_names(c.measured), by_feature, strict=True)
@@ -1086,7 +1086,7 @@ def noted(f: Finding) -> list[str]:
 
 
 def added(f: Finding, members: tuple[str, ...]) -> str:
-    """Return the effects that `Finding.apply` adds, and those that explain the data as well."""
+    """Return a sentence on the effects that `Finding.apply` adds, and on the other candidates."""
     some = listed([likely(name_of(f, n), f.probabilities.get(n, 0.0)) for n in members])
     if len(members) > 1:
         some += f", the most probable set ({percent(f.sets[members])})"
@@ -1215,7 +1215,7 @@ def effects_of(r: Recalibrated) -> list[str]:
 
 
 def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list[Block]:
-    """Return each material's alpha, as stated and as calibrated, and the effects."""
+    """Return tables of each material's input and calibrated alpha, and of the effects."""
     room, beside = (plain or r).case.room, {} if plain is None else {"calibrated": plain}
     alphas = {"input": (room.alpha, NORMAL_90 * room.sigma)}
     for name, c in {**beside, "corrected and calibrated": r}.items():

@@ -246,7 +246,7 @@ def _values(c: Comparison) -> Table:
 
 
 def blocks(c: Comparison) -> list[Block]:
-    """Return what is printed: the answer, what explains it, the table, and what was left out."""
+    """Return a comparison as blocks: the answer, possible causes, the table, and data left out."""
     said = (_multiple, _largest_pair, _coefficients, _of_the_equation)
     first = [sentence(c), *(line for of in said for line in of(c))]
     detailed = [*_by_pair(c), _values(c)]
@@ -254,7 +254,7 @@ def blocks(c: Comparison) -> list[Block]:
 
 
 def section(c: Comparison) -> list[Any]:
-    """Return what a page shows first of a comparison: the answer, the picture, and what explains it."""
+    """Return the first part of a comparison's page: the answer, the picture, and possible causes."""
     lead, *further = notes(c.blocks())
     return [
         Note(lead, kind="lead"),

@@ -47,7 +47,7 @@ def steps(result: Diagnosis) -> str:
 
 
 def added(result: Diagnosis) -> str:
-    """Return what was added to the model, or why nothing was."""
+    """Return a sentence on the effect that was added to the model, or the reason why none was."""
     finding, corrected = result.finding, result.corrected
     if corrected is None:
         why = str(of_finding.chosen(finding, "DIAGNOSIS") or finding.refusal or "")
@@ -61,7 +61,7 @@ def added(result: Diagnosis) -> str:
 
 
 def calibrated(result: Diagnosis) -> str:
-    """Return how far the calibrated model is from all that was measured, before and after."""
+    """Return deviations of the model from all measured values, before and after the calibration."""
     found = result.calibrated
     which = "model as given" if result.corrected is None else "corrected model"
     if isinstance(found, PositionsResult):
@@ -86,7 +86,7 @@ def calibrated(result: Diagnosis) -> str:
 
 
 def shrunk(result: Diagnosis) -> str:
-    """Return the deviations at held-out data as given, calibrated, and with what was added."""
+    """Return mean deviations at held-out data: input, calibrated, and calibrated with the effect."""
     verified = result.verification
     if verified is None or np.isnan(verified.before):
         return ""
@@ -96,7 +96,7 @@ def shrunk(result: Diagnosis) -> str:
 
 
 def blocks(result: Diagnosis) -> list[Block]:
-    """Return the answer, what is left, what was added, the candidates and the commands."""
+    """Return a diagnosis as blocks: the answer, deviations, the effect, candidates and commands."""
     finding, verified = result.finding, result.verification
     table, step = words.candidates(finding), words.next_step(finding, verified)
     said = [
@@ -122,7 +122,7 @@ def blocks(result: Diagnosis) -> list[Block]:
 
 
 def page(result: Diagnosis) -> Page:
-    """Return the page: that of the finding, with what was added and the calibration with it."""
+    """Return the page of a diagnosis: that of its finding, with the effect and the calibration."""
     made, found = of_finding.page(result.finding, result.verification), result.calibrated
     more = [
         sentence for sentence in (shrunk(result), added(result), calibrated(result)) if sentence

@@ -117,7 +117,7 @@ def _of_run(finding: Finding) -> list[Any]:
 
 
 def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
-    """Return what the answer rests on, a sentence each, cautions first."""
+    """Return the reasons for the answer, a sentence each, cautions first."""
     return [
         *(f"Caution: {said}" for said in words.cautions(finding)),
         *([] if verification is None else [verification.sentence]),
@@ -130,7 +130,7 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
 def to_do(
     finding: Finding, verification: Verification | None, place: Place | None = None
 ) -> list[str]:
-    """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
+    """Return the next steps, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.advice is None or finding.verdict == NONE else [str(finding.advice)]
     steps += filter(None, [words.without_measuring(finding)])
     if place is not None:
@@ -172,7 +172,7 @@ def to_do(
 
 
 def chosen(finding: Finding, found: str = "FOUND") -> str:
-    """Return what must be chosen before `apply`, with the command that takes it; "" if nothing."""
+    """Return what you must choose before `apply`, with the command for it; "" if nothing."""
     if finding.undecided is None:
         return ""
     what, _, _ = str(finding.undecided).partition(" Choose one: ")
@@ -312,7 +312,7 @@ def _corrected(finding: Finding, verification: Verification | None) -> list[Any]
 def pictures(
     finding: Finding, verification: Verification | None = None, place: Place | None = None
 ) -> list[Picture]:
-    """Return the figures of a finding, the one that stands beside the answer first."""
+    """Return the figures of a finding; the first one is shown beside the answer."""
     if finding.kind == "means":
         if verification is None:
             return []

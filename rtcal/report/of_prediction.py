@@ -39,7 +39,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
     )
 
     def of(variant: Any) -> list[Any]:
-        """Return what a prediction prints below its title."""
+        """Return the blocks of a prediction below its title."""
         blocks = variant.blocks()[len(variant.heads) if isinstance(variant, Prediction) else 1 :]
         if isinstance(result, Design):  # which has said the rest
             blocks = [*tables(blocks)][1:]

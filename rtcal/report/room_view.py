@@ -102,7 +102,7 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """The name, and what its first column is."""
+        """Name of the quantity, with the name of its first column."""
         return ", ".join(filter(None, (self.name, self.columns[0])))
 
     def text(self, value: float) -> str:
@@ -124,7 +124,7 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Stand:
-    """A source or receiver: where it stands in m, and its gaps in JND, NaN where there are none."""
+    """Hold a source or receiver: its position in m, and its deviations in JND, NaN if unknown."""
 
     kind: str
     name: str
@@ -153,7 +153,7 @@ class RoomSection:
 
     @cached_property
     def gap(self) -> Quantity:
-        """The gaps of the stands, and their colours."""
+        """Deviations at the sources and receivers, and their colours."""
         gaps = np.array([s.gaps for s in self.stands], dtype=float)
         gaps = gaps.reshape(len(self.stands), len(self.whens))
         most = float(np.ceil(np.nanmax(gaps, initial=2.0)))
@@ -163,14 +163,14 @@ class RoomSection:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """The part of each face, (n_faces,), -1 without one."""
+        """Number of the part to which each face belongs, (n_faces,); -1 for none."""
         owners = np.full(len(self.geometry.faces), -1)
         for i, faces in enumerate(self.parts.values()):
             owners[faces] = i
         return owners
 
     def turn(self, tilt: float) -> float:
-        """Return the turn from which most is seen of what has a large area and first quantity."""
+        """Return the turn in radians that shows most of the parts with high first values, by area."""
         first = self.quantities[0]
         shares = np.nan_to_num(first.values[:, 0] - first.low) / (first.high - first.low)
         weights = self.geometry.face_areas * (0.05 + np.append(shares, 0.0)[self.owners])

@@ -30,7 +30,7 @@ def of_miss(miss: Miss) -> str:
 
 
 def misses(v: Verification) -> str:
-    """Return the values that the corrected model misses, with the consequence; "" without any."""
+    """Return which values the corrected model does not reproduce, and what follows; "" without any."""
     if not v.misses:
         return ""
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
@@ -45,7 +45,7 @@ def _unproven(v: Verification) -> str:
 
 
 def sentence(v: Verification) -> str:
-    """Return the verdict, the change of the gap with its standard error, and the objections."""
+    """Return the verdict, the change of the deviation with its standard error, and the objections."""
     if np.isnan(v.before) and v.runs and v.held_out:
         said = [
             "The correction is not tested: the second run does not have the data that the finding "
@@ -203,7 +203,7 @@ def gaps(v: Verification) -> Table:
 
 
 def blocks(v: Verification) -> list[Block]:
-    """Return what is printed of a verification: with the next measurement unless it is supported."""
+    """Return a verification as blocks, with the next measurement unless the finding is supported."""
     advice = None if v.verdict == "supported" else v.finding.advice
     following = [] if advice is None else [f"Next: {advice}"]
     out: list[Block] = [*map(Note, [sentence(v), *following, *notes(v)]), gaps(v)]

@@ -95,7 +95,7 @@ def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
 
 
 def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
-    """Replace the mean of an engine that cannot estimate the bias by the estimated one."""
+    """Return the reference rooms, with the estimated bias where a simulator gives no estimate."""
     bias = bias_estimates(controls).mean(axis=0)
     return [
         c if c.estimates_bias else ControlRooms(c.engine, c.errors + (bias - c.mean))
@@ -197,7 +197,7 @@ class ControlRoom:
         return Eyring().time(room, room.total_area * np.clip(mean, 1e-3, 0.99))
 
     def errors(self, case: Case, alphas: Array, simulate: Simulation, duration: float) -> Array:
-        """Return features simulated less the model's, (n_configurations, n_features, n_bands)."""
+        """Return simulated minus predicted features, (n_configurations, n_features, n_bands)."""
         equation = mean_equation(case.equation).diffuse_field().key
         stated = RoomState.of_room(self.room, np.eye(3), equation)
         states = [replace(stated, alpha=self.by_axis(alpha)) for alpha in alphas]
@@ -393,7 +393,7 @@ ENGINES: Mapping[str, Engine] = {
 
 
 def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
-    """Return reference rooms of this case's shape and of ``least`` engines; DataError otherwise."""
+    """Return reference rooms, or raise DataError unless they fit the case, of ``least`` simulators."""
     every = tuple(
         checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
     )

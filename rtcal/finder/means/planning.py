@@ -122,7 +122,7 @@ class Plan(Result):
         return f"<Plan with {', '.join(self.parameters)}: {len(self.reached)} effects>"
 
     def blocks(self) -> list[Block]:
-        """Return tables of what each effect would show, similar effects, and what to measure next."""
+        """Return tables: the change by each effect, similar effects, and the next measurements."""
         made: list[Block] = import_module(WORDS).of_plan(self)
         return made
 
@@ -216,7 +216,7 @@ def plan(
     about = _information(whole, there, every, None if finding is None else observed)
 
     def ranked(done: Mask) -> list[tuple[Proposal, Mask]]:
-        """Return every measurement that adds something to ``done``, the most nats per hour first."""
+        """Return measurements that add information to those ``done``, the most nats per hour first."""
         start = about.of(done) if done.any() else 0.0
         added = [
             (Proposal(f.measurement, max(about.of(done | mask) - start, 0.0), cost), mask)
@@ -339,11 +339,11 @@ class Information:
         self._normal = np.random.default_rng(0).standard_normal((_DRAWS, covariance.shape[1]))
 
     def entropy(self) -> float:
-        """Return the entropy of the sets before any further measurement, in nats."""
+        """Return the entropy in nats of the sets of effects, before any further measurement."""
         return float(self._entropy(self._weights[None])[0])
 
     def of(self, further: Mask) -> float:
-        """Return the information of measuring these features as well, in nats."""
+        """Return the expected information in nats of also measuring the features ``further`` (m,)."""
         return self._information(further | self._measured) - self._information(self._measured)
 
     def _information(self, mask: Mask) -> float:

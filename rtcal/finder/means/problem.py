@@ -235,7 +235,7 @@ def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Arra
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeansHypotheses(PredictedFeatures):
-    """One table: every effect with every set of its parameters, and what the case's model predicts."""
+    """Hold each effect with every set of its parameters, and the features that the model predicts."""
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
@@ -255,7 +255,7 @@ class MeansHypotheses(PredictedFeatures):
 
     @cached_property
     def rows(self) -> dict[str, NDArray[np.intp]]:
-        """The numbers of each effect's hypotheses, and of "none"."""
+        """Numbers of the hypotheses of each effect, and of "none"."""
         names = np.array(self.names)
         return {name: np.flatnonzero(names == name) for name in dict.fromkeys(self.names)}
 
@@ -477,9 +477,9 @@ class ObservedFeatures:
 
 
 def steps(case: Case, used: Array) -> dict[int, str]:
-    """Return numbers of leading features, T20 of the first configuration and all, and their names.
+    """Return the names of the steps of the data, by their number of leading features.
 
-    ``used`` is as `ObservedFeatures.used`.
+    The steps are T of the first configuration, and all data. ``used`` is as in `ObservedFeatures`.
     """
     first = int(np.argmax(used.any((1, 2))))
     configuration = case.configurations[first]
@@ -578,7 +578,10 @@ def features_of_values(m: Measurement) -> Array:
 def values_of_features(
     features: Array, frequencies: Array, parameters: Collection[str]
 ) -> Measurement:
-    """Return a model's features (n_features, n_bands) as these parameters; T30 alone is the amount."""
+    """Return a model's features (n_features, n_bands) as values of the ``parameters``.
+
+    The first feature is ln T20, or ln T30 if T20 is not among the parameters.
+    """
     log_time, edt, t30, c80, g = features
     with np.errstate(over="ignore"):
         values = {
@@ -684,7 +687,7 @@ def with_applied(
 
 
 def distances(case: Case, configuration: Configuration) -> Array:
-    """Return the source-receiver distances in m, (n_pairs,); where none are stated, the usual one."""
+    """Return the source-receiver distances in m, (n_pairs,); a usual distance if none are known."""
     if configuration.distances is not None:
         return configuration.distances
     return np.array([USUAL_DISTANCE * case.room.volume ** (1 / 3)])
@@ -812,7 +815,7 @@ class MeansProblem:
         return np.asarray(self.discrepancy.bias[self.mask])
 
     def residual(self, i: int, values: Array | None = None) -> Array:
-        """Return the measured features, or ``values`` for them, less those of hypothesis ``i``."""
+        """Return the measured features, or ``values``, minus those of hypothesis number ``i``."""
         y = self.observed.values if values is None else values
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
@@ -961,7 +964,7 @@ def log_likelihoods(
 
 
 def log_density(residual: Array, covariance: Array) -> Array:
-    """Return the log density of a residual (m,) under covariances (n, m, m), (n,), in nats."""
+    """Return the log densities (n,) of a residual (m,) under each of the covariances (n, m, m)."""
     n = len(covariance)
     of = Moments(np.zeros((n, len(residual))), covariance.copy(), np.zeros((n, 0, len(residual))))
     (log,), _ = log_likelihoods([of], residual[None], [len(residual)], off=False)
@@ -995,7 +998,7 @@ class MeansEvidence:
     prior_off: float
 
     def by_effect(self) -> dict[str, Array]:
-        """Return the log evidence of each effect, "none", "coefficients" and "unknown", in nats."""
+        """Return the log evidence of each effect, "none", "coefficients" and "unknown"."""
         rows = self.problem.predicted.rows  # one after the other
         log = self._weighted(self.by_hypothesis())
         sums = np.logaddexp.reduceat(log, [of_one[0] for of_one in rows.values()], axis=0)
@@ -1003,11 +1006,11 @@ class MeansEvidence:
         return out | {NONE: self.stated[0], COEFFICIENTS: self.off[0], UNKNOWN: self.unknown}
 
     def by_hypothesis(self) -> Array:
-        """Return the log likelihood of each hypothesis, whatever the coefficients."""
+        """Return the log likelihood of each hypothesis, with and without a common error averaged."""
         return log_mixture(self.stated, self.off, self.prior_off)
 
     def off_given(self, name: str) -> Array:
-        """Return the probability of coefficients that are off together, given an effect or "none"."""
+        """Return the probability of a common error of the coefficients, given an effect or "none"."""
         rows = self.problem.predicted.rows[name]
         with np.errstate(divide="ignore"):
             off = self._weighted(self.off)[rows] + np.log(self.prior_off)
@@ -1020,12 +1023,12 @@ class MeansEvidence:
         return np.asarray(weights.reshape(-1, *[1] * (log.ndim - 1)) + log)
 
     def nats(self, name: str) -> float:
-        """Return the log evidence of an effect over "none"."""
+        """Return the ln Bayes factor of an effect against "none"."""
         table = self.by_effect()
         return float(table[name] - table[NONE])
 
     def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
-        """Return the evidence of one effect, with others in the model."""
+        """Return the evidence of one effect, with ``others`` added to the model."""
         case = self.problem.case
         case = replace(case, applied=(*case.applied, *others))
         predicted = predict_hypotheses(case, [self.problem.predicted.effects[name]])
@@ -1408,7 +1411,7 @@ def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, N
 
 
 def states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[RoomState]]:
-    """Return the states of sets in each configuration; what is removed there is left out."""
+    """Return the room's states with the effects of each set, for every configuration."""
     predicted, out = compared.predicted, []
     for where in compared.case.configurations:
         made: dict[Members, RoomState] = {(): state(compared.case, where)}
@@ -1428,7 +1431,7 @@ def states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[Room
 
 
 def unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
-    """Return the log evidence of single hypotheses with an unknown effect beside them, (n_rows,)."""
+    """Return the log evidence, (n_rows,), of single effects in combination with an unknown effect."""
     of, _ = moments(compared, [(i,) for i in rows.tolist()])
     residual, ends = compared.observed.values - of.mean, [of.mean.shape[1]]
     used = compared.observed.used
@@ -1517,7 +1520,7 @@ class SetPosterior:
         return most_probable_first(out)
 
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
-        """Return the probability of each family that one of it is there, the most probable first."""
+        """Return the probability that an effect of each group is missing, the most probable first."""
         every, parts = self.effects(), list[tuple[str, float]]()
         for names, p in self.sets.items():
             narrow = {family_of(name, effects) for name in names}

@@ -85,7 +85,7 @@ class Recalibrated(Result):
 
     @cached_property
     def room(self) -> Room:
-        """Corrected room with the calibrated coefficients, their sigma, and a record of it."""
+        """Corrected room with calibrated coefficients, their sigma, and a record of the calibration."""
         stated = self.case.room
         data = [times_in_room(stated, c.measured) for c in self.case.configurations]
         calibrated = stated.replace(
@@ -349,7 +349,7 @@ class LogTimes:
         return self.result(found.alpha, found.answer.joint)
 
     def result(self, alpha: Array, joint: JointResult) -> Recalibrated:
-        """Return what coefficients (n_unknowns, n_bands) are calibrated to."""
+        """Return the calibration with the coefficients ``alpha`` (n_unknowns, n_bands)."""
         case, n = self.case, self.case.room.n_materials
         fitted = [case.configurations[c] for c in self.fitted]
         off = (self.predict(alpha) - self.values) / self.u[self.used]

@@ -521,7 +521,7 @@ def _searched(
 
 
 def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
-    """Return the doubts about the best candidate; `LEAVES` says what remains after each doubt."""
+    """Return the doubts about the best candidate; `LEAVES` has the verdict that each doubt leaves."""
     problem, name = evidence.problem, best.effect
     alone, row = _with_candidate(problem, best)
     gap = gap_check(alone, best)
@@ -559,7 +559,7 @@ SURPRISING = 1e-3
 
 
 def gap_against(name: str, gap: GapCheck) -> Reason | None:
-    """Return a doubt where the gap grows, or where what alpha cannot fit contradicts the effect."""
+    """Return a doubt if the deviation grows, or if what alpha cannot fit contradicts the effect."""
     ends = {"effect": name, "before": gap.before, "after": gap.after}
     if gap.growth >= CLAIMED:
         return Reason("gap grows", ends)
@@ -647,7 +647,7 @@ class GapCheck:
 
     @property
     def growth(self) -> float:
-        """Probability that the gap grows by more than a little; 0 where the gap was not measured."""
+        """Probability that the deviation grows by more than `LITTLE`; 0 if nothing was measured."""
         grown = self.after - self.before - LITTLE
         if not self.uncertainty > 0:
             return float(grown > 0)

@@ -138,7 +138,7 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ShiftHypothesis(Sizes):
-    """Hypotheses that the room is other than stated, which shifts the simulated values."""
+    """Hold hypotheses that the room differs from the model, which changes the simulated values."""
 
     response: str
     """Which of the responses is interpolated."""
@@ -198,7 +198,7 @@ class PositionsHypotheses:
     unknown: bool = True
 
     def by_row(self, attribute: str) -> list[Any]:
-        """Return "effect", "family" or "surface" of each row; the first three have no surface."""
+        """Return the "effect", "family" or "surface" of each row; None for a row without a surface."""
         groups: list[Any] = [*self.spreads, *self.shifts]
         groups += self.shifts if self.unknown else ()
         rows: list[Any] = [None] * 3 if attribute == "surface" else [NONE, COEFFICIENTS, UNKNOWN]
@@ -207,7 +207,7 @@ class PositionsHypotheses:
         return rows
 
     def of_groups(self, values: Array) -> tuple[list[Array], list[Array], list[Array]]:
-        """Return the rows of each spread, of each shift, and of each shift with "unknown" beside."""
+        """Return rows of ``values`` by spread, by shift, and by shift in combination with "unknown"."""
         n = len(self.spreads)
         groups: list[Any] = [*self.spreads, *self.shifts, *self.shifts]
         ends = 3 + np.cumsum([0, *(len(group.odds) for group in groups)])
@@ -328,7 +328,7 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
 
 
 def stated_room(case: PositionsCase) -> RoomState:
-    """Return the stated room; the directions of its materials do not change any whole-room effect."""
+    """Return the room's input as a state; its materials' directions affect no whole-room effect."""
     return RoomState.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
 
 
@@ -600,7 +600,7 @@ class Likelihood:
         return int(self.used.sum())
 
     def of(self, residual: Array) -> Residuals:
-        """Return a residual (n,) as the other methods take it."""
+        """Return the products of a residual (n,) that the other methods need."""
         by_level = residual[:, np.newaxis] - self.levels.shifts
         measured = np.where(self.used[:, np.newaxis], by_level, 0.0)
         pull = np.asarray(self.inverse @ measured)
@@ -615,11 +615,11 @@ class Likelihood:
         return replace(self, covariance=covariance, levels=one)
 
     def stated(self, residuals: Residuals) -> float:
-        """Return the log density if nothing is other than stated."""
+        """Return the log density if the room does not differ from the model."""
         return float(self._log(residuals[1], self.half))
 
     def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
-        """Return the log density with some errors wider, (n_hypotheses,)."""
+        """Return the log density if some values have larger errors, (n_hypotheses,)."""
         kept, scales = self.used[spread.rows], spread.scales[:, np.newaxis, np.newaxis]
         rows, columns, (pull, square) = spread.rows[kept], spread.columns[kept], residuals
         across, inner = columns.T @ pull[rows], self.inverse[np.ix_(rows, rows)]

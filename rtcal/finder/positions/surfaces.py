@@ -102,7 +102,7 @@ def _unnumbered(name: str, others: Sequence[str]) -> str:
 
 
 def stated_surfaces(geometry: Polyhedron) -> list[Surface]:
-    """Return a room's surfaces as its file states them: those of `of_geometry`, with area and axis."""
+    """Return a room's surfaces, as `of_geometry` finds them, in the form of the room's file."""
     drawn = geometry.surfaces
     surfaces = []
     for name, faces in of_geometry(geometry).items():

@@ -372,7 +372,7 @@ STEP = 0.08
 
 @dataclass(frozen=True, eq=False)
 class PairShifts:
-    """Shifts of the parameters at all pairs of a simulator."""
+    """Hold how the parameters change at all pairs of a simulator with each possible effect."""
 
     parameters: tuple[str, ...]
     pairs: tuple[Pair, ...]
@@ -395,7 +395,7 @@ class PairShifts:
 
     @property
     def base(self) -> Array:
-        """What is simulated as stated, (n_parameters, n_pairs, n_bands)."""
+        """Values that are simulated with the input coefficients, (n_parameters, n_pairs, n_bands)."""
         return np.asarray(self.columns["base"][..., 0])
 
     def at(self, like: Observations) -> PairShifts:
@@ -418,7 +418,7 @@ def responses_of(
     progress: TaskProgress | None = None,
     scheduler: str | None = None,
 ) -> PairShifts:
-    """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
+    """Return how the values of a case's room change, from the folder ``cache`` or newly computed."""
     match, pairs = parameters(case), case.simulator.pairs
     path = None
     if cache is not None:
