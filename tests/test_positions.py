@@ -187,7 +187,7 @@ def test_the_result_says_what_was_learned_and_from_whom(case, result):
     np.testing.assert_allclose(result.pulls.sum(axis=0), shift, atol=0.2)
     assert result.room.calibration.method == "positions"
     np.testing.assert_array_equal(result.room.sigma, result.sigma)
-    assert "The level is absolute" in str(result)
+    assert "The level is taken as absolute" in str(result)
     assert result.contradictions == ()
     record = json.loads(result.to_json())
     assert record["rtcal"] == "positions 1"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.room import times_of
+from rtcal.command.main import cli
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
 from tests.two_states import BANDS, measured, room, times
@@ -194,3 +197,14 @@ def test_the_changed_room_has_t_of_the_second_state(panels: Finding) -> None:
     np.testing.assert_allclose(
         rt.Eyring().reverberation_time(back.room), panels.case.times[0], rtol=0.1
     )
+
+
+def test_the_command_states_how_many_pairs_a_verification_needs(tmp_path: Path) -> None:
+    """A change at too few pairs cannot be verified; the command ended without words for it."""
+    after = measured(times(24), 2)
+    few = rt.find(room(), after.select(after.pairs[:2]), before=measured(times(), 1))
+    assert few.detected
+    few.save(tmp_path / "changed")
+    done = CliRunner().invoke(cli, ["verify", str(tmp_path / "changed")])
+    assert isinstance(done.exception, rt.errors.DataError)
+    assert "has 2 source-receiver pairs; at least 4 are needed" in str(done.exception)

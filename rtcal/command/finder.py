@@ -449,6 +449,8 @@ def verify(
             )
             return
         verification = verified(finding, kept_beside(found))
+        if verification is None:  # too few pairs, which this raises
+            verification = finder.verify(finding)
     console.tell(str(verification), verification.to_dict)
 
 

@@ -825,6 +825,10 @@ class NoiseFloor(Effect):
         """Return the state of the room with this noise in its decays."""
         return replace(state, floor_db=parameters["level"], record=parameters["record"])
 
+    def describe(self, parameters: Parameters, without: str = "") -> str:
+        """Return the parameters in words, the record as the length of the responses."""
+        return super().describe(parameters, without).replace("record ", "length of the responses ")
+
 
 @dataclass(frozen=True)
 class DirectSound(Effect):

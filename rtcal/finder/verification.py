@@ -761,8 +761,8 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
 def _check_pairs(pairs: Sequence[object]) -> None:
     if len(pairs) < LEAST_PAIRS:
         raise DataError(
-            f"there are {len(pairs)} pairs; at least {LEAST_PAIRS} are needed, because half "
-            "of them must predict the others"
+            f"the measurement has {len(pairs)} source-receiver pair{'s' * (len(pairs) != 1)}; at "
+            f"least {LEAST_PAIRS} are needed, because half of them must predict the others"
         )
 
 

@@ -1218,7 +1218,7 @@ class PositionsResult(Result):
             notes.insert(0, self.warning)
         if LEVEL.key in self.parameters:
             notes.append(
-                "The level is absolute, G of a calibrated source."
+                "The level is taken as absolute: as G, measured with a calibrated source."
                 if self.measured.level == "absolute"
                 else "The level is relative between the positions of a source: the measured one is "
                 "shown with the mean of the simulated one."
@@ -1261,7 +1261,8 @@ class PositionsResult(Result):
                 unexplained
                 and f"beyond all known errors, model and measurement differ by {unexplained} "
                 "(standard deviation).",
-                "Check volume, mesh and sigma. Something may be missing from the model.",
+                "Check volume, mesh and sigma. If they are right, something may be missing from the "
+                "model: `rtcal find` looks for it.",
             ),
             (
                 "No interval",

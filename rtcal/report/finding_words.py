@@ -14,6 +14,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, marks
 from rtcal.acoustics.comparison import Comparison
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
@@ -39,6 +40,7 @@ from rtcal.finder.finding import Finding, feature_names
 from rtcal.finder.means.planning import COSTS, Plan
 from rtcal.finder.means.recalibration import Recalibrated
 from rtcal.finder.records import (
+    ALL,
     RUN,
     WITH_LEVEL,
     WITHOUT_LEVEL,
@@ -114,8 +116,8 @@ SENTENCES: dict[str, str] = {
     "too large": "{effect:name} would take {share:p} of all surfaces; a size above {most:p} is not "
     "plausible.",
     "below Schroeder": "{effect:name} rests on {bands:and}, below the Schroeder frequency, where "
-    "the sound field is not diffuse: its odds by the data are {nats:odds} with, and {without:odds} "
-    "without, what was measured there.",
+    "the sound field is not diffuse. By all data, the odds for it are {nats:odds}; without the data at "
+    "{bands:and}, they are {without:odds}.",
     "directivity unknown": "The surface is not identified, because the directivity of a source is "
     "unknown: where a source aims looks like absorption on the other surfaces.",
     "second room anywhere": "The surface is not identified, because a second room has the same effect "
@@ -140,7 +142,7 @@ SENTENCES: dict[str, str] = {
     "them again.",
     "nothing to distinguish": "These data leave nothing to distinguish, which does not confirm the "
     "model.",
-    "look it up": "Confirm {effect:name}: look it up, or measure it directly.",
+    "look it up": "Confirm {effect:name}: {effect:check}.",
     "measure without": "Confirm {effect:name}: measure once without it.",
     "confirmed": "{effect:name} was already measured with and without it; nothing else could confirm "
     "it.",
@@ -148,10 +150,12 @@ SENTENCES: dict[str, str] = {
     "the uncertainty of the coefficients cancels in the difference.",
     "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
     "with odds of {nats:odds} instead of {now:odds}.",
-    "each taken out": "Measure once without {effect:name} and once without {rival:name} (removed, "
-    "closed or covered): the uncertainty of the coefficients cancels in the differences.",
-    "look at the room": "Look at the room: {effect:name} and {rival:name} predict the same in every "
-    "parameter, but you may see one of them, or measure it with a tape measure.",
+    "each taken out": "Look in the room for {effect:name} and {rival:name}. Measure once without each "
+    "that you find (removed, closed or covered): the uncertainty of the coefficients cancels in the "
+    "difference to the first measurement.",
+    "look at the room": "Find out in the room, or from its documents, whether {effect:name} or "
+    "{rival:name} is the cause. Both predict nearly the same values of every parameter, so measuring "
+    "a further parameter would not distinguish them.",
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: nothing is identified as missing.",
     "too weak to add": "Nothing to add: nothing was detected. {best:name} is only a weak indication "
@@ -175,7 +179,7 @@ SENTENCES: dict[str, str] = {
     "volume alone undecided": "effect = volume has a probability of {probability:p}, but rtcal "
     "changes the room's volume only from {least:p} upwards. Measure the volume and enter it in the "
     "room's file.",
-    "support": "{best}, which these data do not distinguish from {others:few}",
+    "support": "{best}, which these data do not distinguish from {others:likeliest}",
     "sole": "{best}",
     "not predicted": "considering their uncertainty, these data give odds of {nats:odds} for it, less "
     "than the {least:odds} required",
@@ -260,8 +264,8 @@ SENTENCES: dict[str, str] = {
     "kind unknown": "It is unknown what was changed ({kinds:or}), so the room contains only the "
     "change of its absorption.",
     # Why a verification does not support a finding.
-    "gains little": "only a decrease by more than {least:.2f} JND counts",
-    "misses": "the corrected model does not have the values that it was matched to",
+    "gains little": "only a decrease by more than {least:.2f} JND would support the correction",
+    "misses": "the corrected model does not reproduce the values that it was matched to",
     "little left": "a calibration without the effect leaves only {before:.2f} JND there, so a second "
     "run cannot reduce it by the {least:.2f} JND that are required",
     "halves differ": "the halves of the pairs found something else than all pairs did",
@@ -270,6 +274,22 @@ SENTENCES: dict[str, str] = {
     "nothing claimed": "no effect and no group of effects is identified",
 }
 """The sentence of each code of a `rtcal.finder.claim.Reason`; `_Forms` has the forms of its values."""
+
+
+_CHECK = "look it up in the documents of the room, or measure it directly"
+CHECKS = {
+    "area": "compare the areas with the drawings, or measure them in the room",
+    "volume": "compare the volume with the drawings, or measure it in the room",
+    "formula": "simulate the room with a geometrical program, which needs no equation, and search with "
+    "its result (rtcal find --simulated)",
+    "noise floor": "look at the decays of the impulse responses. If they end in noise, evaluate them "
+    "again with the noise subtracted (rtcal measure subtracts it)",
+    "direct sound": "look up the directivity of the source, or turn the source and measure again",
+    "air": "look up the temperature and the humidity during the measurement",
+    "non-diffuse field": "simulate the room with a geometrical program, which includes such a field, "
+    "and search with its result (rtcal find --simulated)",
+}
+"""How an effect is confirmed that cannot be taken out of the room; `_CHECK` for any other."""
 
 
 _CLAUSES = (
@@ -283,7 +303,7 @@ _CLAUSES = (
 
 _ORIGINS = {
     "stated": "as given",
-    "made": "made from scatter over pairs, theory and reproducibility, because none is given",
+    "made": "estimated from scatter over pairs, theory and reproducibility, because none is given",
 }
 """Where uncertainties come from."""
 
@@ -301,6 +321,10 @@ class _Forms(Formatter):
         if form in ("few", "and", "or"):
             names = [called(v) if isinstance(v, str) else likeliness(v) for v in value]
             return first_of(names, _FEW) if form == "few" else listed(names, last=form)
+        if form == "likeliest":
+            return _and_more([likeliness(v) for v in value], _FEW)
+        if form == "check":
+            return CHECKS.get(value, _CHECK)
         if form == "options":  # with the names that an option takes
             some = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in value]
             return listed([f"{name} ({percent(p)})" for name, p in some], last="or")
@@ -367,6 +391,15 @@ def called(effect: str) -> str:
     if side in (ADDED, REMOVED) and kind:
         return f"{side} {'unknown absorber' if kind == UNKNOWN else NAMES.get(kind, kind)}"
     return NAMES.get(effect, effect)
+
+
+def _and_more(names: Sequence[str], most: int) -> str:
+    """Return names joined by "and"; of more than ``most`` the first ones, and how many are left.
+
+    >>> _and_more(["floor", "walls"], 2), _and_more(["floor", "walls", "door"], 2)
+    ('floor and walls', 'floor, walls and 1 more')
+    """
+    return first_of(names, most) if len(names) > most else listed(names)
 
 
 def named(c: Candidate) -> str:
@@ -503,9 +536,8 @@ def _weak(f: Finding) -> str:
     if not _nothing_likelier(f):
         return f"Nothing is identified; {best} is only a weak indication."
     return (
-        "Nothing is identified: that nothing is missing "
-        f"({percent(f.probabilities[NONE])}) is more probable than any single effect; the most "
-        f"probable effect is {best}."
+        "Nothing is identified: the most probable explanation is that nothing is missing "
+        f"({percent(f.probabilities[NONE])}), and the most probable effect is {best}."
     )
 
 
@@ -553,11 +585,38 @@ def next_step(f: Finding, verification: Verification | None = None) -> str:
         return USE[verification.verdict]
     if f.likely_surfaces and f.surface is None:
         return (
-            "Look for the effect on the surfaces named above, or measure at one more receiver: "
-            "`rtcal plan` proposes where."
+            "Look for the effect on the surfaces named above. If you do not find it there, measure at "
+            "one more receiver: `rtcal plan` proposes where."
         )
     what = f.likeliest or f.best
-    return f"Look at the room for {named(what)}, or measure once with it and once without it."
+    return (
+        f"Look in the room for {named(what)}. If it can be removed, measure once with it and once "
+        "without it."
+    )
+
+
+def first_step(f: Finding, verification: Verification | None = None) -> str:
+    """Return the next step, after the check of what a caution calls a likely typing error."""
+    step, checked = next_step(f, verification), listed([*dict.fromkeys(_mistyped(f))])
+    if not step or not checked:
+        return step
+    return (
+        f"First check {checked}, as the caution says. If nothing is mistyped, "
+        f"{step[:1].lower()}{step[1:]}"
+    )
+
+
+def _mistyped(f: Finding) -> list[str]:
+    """Return the input that may be mistyped, as the cautions name it."""
+    room = f.case.room
+    doubts = [
+        doubt
+        for measured in _measured(f)
+        for doubt in marks.of_input(
+            room, measured.in_bands(room.centre_frequencies).reverberation_time
+        )
+    ]
+    return [doubt.checked for doubt in doubts if doubt.is_error]
 
 
 def _nothing_likelier(f: Finding) -> bool:
@@ -745,11 +804,7 @@ _ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states
 def cautions(f: Finding) -> list[str]:
     """Return reasons to doubt the answer, and likely typing errors in the input."""
     room, off, typed = f.case.room, f.coefficients, list[str]()
-    if f.kind == "means":
-        every = [c.measured for c in f.case.configurations]
-    else:
-        every = [f.case.before, f.case.after] if f.kind == "states" else [f.case.measured]
-    for measured in every:
+    for measured in _measured(f):
         t = measured.in_bands(room.centre_frequencies).reverberation_time
         typed += [doubt.sentence for doubt in marks.of_input(room, t)] + [*unusual(measured)]
     said = [str(r) for r in f.reasons if r is not f.leading and r.code != OWN_FIELD]
@@ -767,6 +822,13 @@ def cautions(f: Finding) -> list[str]:
             f"factor of {np.exp(BY_SEED):.1f}: search with another --seed as well."
         )
     return [*map(as_sentence, dict.fromkeys(typed)), *said]
+
+
+def _measured(f: Finding) -> list[Measurement]:
+    """Return every measurement of a finding."""
+    if f.kind == "means":
+        return [c.measured for c in f.case.configurations]
+    return [f.case.before, f.case.after] if f.kind == "states" else [f.case.measured]
 
 
 def details(f: Finding) -> list[str]:
@@ -900,7 +962,7 @@ def evidence(f: Finding) -> str:
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
     if found.means is not None:
-        said += f" The means of these data over positions give odds of {odds(found.means)}."
+        said += f" Compared as means over positions, the data give odds of {odds(found.means)}."
     return said
 
 
@@ -910,14 +972,30 @@ def interval(share: Share) -> str:
     return f"{100 * low:.0f} to {100 * high:.0f} %, 95 % interval"
 
 
-def _of(share: Share, what: str) -> str:
-    """Return a share as a clause: "3 of 18 rooms were flagged (4 to 41 %, 95 % interval)"."""
-    return f"{share.count} of {share.of} {what} ({interval(share)})"
+def _of(share: Share, what: str, verb: str) -> str:
+    """Return a share as a clause: "of 18 rooms, 3 were flagged (4 to 41 %, 95 % interval)"."""
+    return f"of {share.of} {what}, {share.count} {verb} ({interval(share)})"
+
+
+def _flagged(share: Share) -> str:
+    """Return in how many rooms with nothing missing an effect was reported, as a clause."""
+    return (
+        f"in {share.count} of {share.of} rooms with nothing missing, an effect was reported "
+        f"({interval(share)})"
+    )
+
+
+def _in_rooms(data: str, *counts: str, by: str = "") -> str:
+    """Return which simulated rooms the counts are from, and the counts, a sentence each."""
+    where = (
+        f"How often results are right was counted{by} in simulated rooms that were not used to make "
+        f"the finder, with {data}."
+    )
+    return " ".join([where, *map(as_sentence, counts)])
 
 
 def track_record(f: Finding) -> str:
     """Return how many such findings were right, in rooms that were not used to make the finder."""
-    rooms = "In simulated rooms that were not used to make the finder"
     if f.kind == "states":
         return ""
     if f.case.has_run and (f.kind == "positions" or f.more_than_one):
@@ -930,11 +1008,12 @@ def track_record(f: Finding) -> str:
             _of(
                 Share(*stored()["several"][kind]),
                 f"identified {kind.replace('families', 'groups')}",
+                "were right",
             )
             for kind, names in claimed.items()
             if names
         ]
-        return f"{rooms}, with one or two effects, {listed(kinds)} were right." if kinds else ""
+        return _in_rooms("one or two hidden effects", *kinds) if kinds else ""
     return record_of_means(f.verdict, data_of(f.case))
 
 
@@ -942,41 +1021,55 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     """Return how often `find` detected hidden effects, and flagged empty rooms, with similar data."""
     stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
     record = record_of("positions", stated, data)
-    return (
-        f"In simulated rooms that were not used to make the finder, with coefficients {stated}, "
-        f"an earlier version detected {_of(record['detected'], 'hidden effects')} and reported one in "
-        f"{_of(record['flagged'], 'rooms with nothing missing')}. It was right in "
-        f"{_of(record['family'], 'effects or groups that it identified')}, in "
-        f"{_of(record['surface claimed'], 'surfaces that it identified')} and in "
-        f"{_of(record['surface'], 'most probable surfaces of absorbers that it detected')}."
+    found = [
+        _of(record["family"], "identified effects or groups", "were right"),
+        _of(record["surface claimed"], "identified surfaces", "were right"),
+        _of(record["surface"], "detected absorbers", "were on the most probable surface"),
+    ]
+    return _in_rooms(
+        f"coefficients {stated}",
+        _of(record["detected"], "hidden effects", "were detected")
+        + "; "
+        + _flagged(record["flagged"]),
+        "; ".join(found),
+        by=" with an earlier version",
     )
+
+
+_SEVERAL_DATA = "several configurations, or with C80 or G"
+"""`rtcal.finder.records.ALL` as a sentence says it."""
 
 
 def record_of_means(verdict: str, data: str) -> str:
     """Return how often this verdict was right with this kind of data, as `records` names both."""
     record = record_of("means", data)
-    rooms = f"In simulated rooms that were not used to make the finder, with {data},"
+    rooms = _SEVERAL_DATA if data == ALL else data
+    flagged = _flagged(record["flagged"])
     if verdict == UNKNOWN:
-        return f"{rooms} an effect was reported in {_of(record['flagged'], 'rooms without one')}."
+        return _in_rooms(rooms, flagged)
     if verdict not in record:
         missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
-        said = _of(missed, "hidden effects were not detected")
-        return f"{rooms} {said}, so this does not prove that nothing is missing."
+        said = _of(missed, "hidden effects", "were not detected")
+        return _in_rooms(
+            rooms, f"{said}, so a search without a result does not prove that nothing is missing"
+        )
     kinds = {
-        "named": "identified effects were right",
-        "family": "identified groups were right",
-        "ambiguous": "sets of candidates contained the right effect",
+        "named": ("identified effects", "were right"),
+        "family": ("identified groups of effects", "were right"),
+        "ambiguous": ("sets of candidates", "contained the right effect"),
     }
-    said = f"{rooms} {_of(record[verdict], kinds[verdict])}."
+    counts = _of(record[verdict], *kinds[verdict])
     if data == RUN:
-        return f"{said} {_of(record['flagged'], 'rooms with nothing missing were flagged')}."
+        return _in_rooms(rooms, counts, flagged)
+    said = _in_rooms(rooms, counts)
     if verdict == "ambiguous":
         return said
     measured = stored()["measured"]
     wrong = Share(measured["wrong"], measured["claims"])
     return (
-        f"{said} In {measured['cases']} measured cases an earlier version identified {wrong.of} "
-        f"effects or groups, {wrong.count or 'none'} wrongly (error rate {interval(wrong)})."
+        f"{said} In {measured['cases']} measured cases, an earlier version identified {wrong.of} "
+        f"effects or groups, of which {wrong.count or 'none'} {'was' if wrong.count < 2 else 'were'} "
+        f"wrong (error rate {interval(wrong)})."
     )
 
 
@@ -992,7 +1085,7 @@ def candidates(f: Finding) -> Table | None:
             for name, p in f.probabilities.items()
             if p >= SAID
         ]
-        title = "Candidates; the odds compare the data with and without the effect"
+        title = "Candidates; the odds compare the model with the effect to the model without it"
         return Table([there, "odds by the data"], rows, title, corner="effect")
     some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
     rows = [Row(named(c), [percent(c.probability), c.in_words]) for c in some[:8]]
@@ -1062,7 +1155,7 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     The sentence of a ``verification`` follows the cautions; None leaves it out.
     """
     table = candidates(f)
-    step = next_step(f, verification)
+    step = first_step(f, verification)
     last = [evidence(f), track_record(f), *(f"Note: {n}" for n in noted(f))]
     return [
         Note(" ".join(headline(f))),
@@ -1127,14 +1220,13 @@ def of_plan(p: Plan, *, every: bool = False) -> list[Block]:
     return [
         *_proposed(p),
         Note(
-            f"If one effect alone were missing, {measured} would detect {shown} of {len(seen)} "
-            f"effects, which takes odds of {enough}. Each effect has the size that changes T by "
-            f"{100 * p.change:g} % in one band, or as much as it can. Two effects are not "
-            f"distinguished where the odds between them are below {enough}"
-            f"{'.' if every else ' (--all names them).'}",
+            f"If one effect alone were missing, {measured} would detect {shown} of {len(seen)} effects "
+            f"(odds by the data of at least {enough}). Each effect has the size that changes T by "
+            f"{100 * p.change:g} % in one band, or as much as it can. The last column counts the other "
+            f"effects that fit as well (odds below {enough}{'' if every else '; --all names them'}).",
             hanging="",
         ),
-        Table(["change of T", "odds by the data", "not distinguished"], seen, corner="effect"),
+        Table(["change of T", "odds by the data", "not distinguished from"], seen, corner="effect"),
         *([Note("Effects that these data do not distinguish:", hanging="")] if every else []),
         *(named_ if every else []),
     ]
@@ -1158,14 +1250,15 @@ def _proposed(p: Plan) -> list[Block]:
     first = p.sequence[0]
     return [
         Note(
-            f"Measure next: {first.measurement}. Of all proposals it removes most of the uncertainty "
-            f"per hour: {share(first.information)} in {first.cost:g} h. So far the data leave as much "
-            f"open as {np.exp(p.uncertainty):.1f} equally probable effects would.",
+            f"Measure next: {first.measurement}. In {first.cost:g} h, this removes "
+            f"{share(first.information)} of the uncertainty about what is missing"
+            f"{', more per hour than any other proposal' * (len(rows) > 1)}. So far, the uncertainty "
+            f"is that of {np.exp(p.uncertainty):.1f} equally probable effects.",
             hanging="",
         ),
         Table(["uncertainty removed", "time", "per hour"], rows, corner="measurement"),
         Note(
-            "Best order, with what each measurement removes after those before it: "
+            "Best order, with the uncertainty that each measurement removes after those before it: "
             + listed([f"{m.measurement} ({share(m.information)})" for m in p.sequence])
             + ".",
             hanging="",
@@ -1196,7 +1289,7 @@ def of_places(f: Finding, places: Sequence[Place]) -> list[Block]:
             f"to distinguish the surfaces {names} with odds of {odds(places[0].nats)}."
         ),
         answer,
-        Table(["source", "odds"], rows, corner="receiver"),
+        Table(["source", "expected odds"], rows, corner="receiver"),
     ]
 
 

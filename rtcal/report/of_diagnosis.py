@@ -62,7 +62,7 @@ def added(result: Diagnosis) -> str:
 
 def calibrated(result: Diagnosis) -> str:
     """Return deviations of the model from all measured values, before and after the calibration."""
-    found = result.calibrated
+    found, verified = result.calibrated, result.verification
     which = "model as given" if result.corrected is None else "corrected model"
     if isinstance(found, PositionsResult):
         before, after = rms(found.gap_before), rms(found.gap_after)
@@ -71,6 +71,10 @@ def calibrated(result: Diagnosis) -> str:
             "JND, root mean square over the pairs that it was fitted to; with its input coefficients, "
             f"by {before:.1f} JND at the same pairs."
         )
+        if result.corrected is not None and verified is not None and verified.misses:
+            said += (
+                " No pair is left to test this fit, so it is no reason to simulate with the model."
+            )
         if found.scattering is None or found.start is None:
             return said
         of = found.start, found.scattering.coefficients
@@ -78,7 +82,7 @@ def calibrated(result: Diagnosis) -> str:
         before_fit, fitted = (" to ".join(each) for each in ends)
         return f"{said} Its fitted scattering coefficients are {fitted} (before: {before_fit})."
     if found.off < _MET:
-        return f"Calibrated to T, the {which} has the measured T."
+        return f"Calibrated to T, the {which} reproduces the measured T."
     return (
         f"Calibrated to T, the {which} differs from the measured T by {found.off:.1f} "
         "times its uncertainty, root mean square."
@@ -98,7 +102,7 @@ def shrunk(result: Diagnosis) -> str:
 def blocks(result: Diagnosis) -> list[Block]:
     """Return a diagnosis as blocks: the answer, deviations, the effect, candidates and commands."""
     finding, verified = result.finding, result.verification
-    table, step = words.candidates(finding), words.next_step(finding, verified)
+    table, step = words.candidates(finding), words.first_step(finding, verified)
     said = [
         " ".join(words.headline(finding)),
         *(f"Caution: {caution}" for caution in words.cautions(finding)),
@@ -111,7 +115,7 @@ def blocks(result: Diagnosis) -> list[Block]:
     rests_on = [
         words.evidence(finding),
         words.track_record(finding),
-        "Single commands that do the same:",
+        "The same, step by step:",
     ]
     return [
         *map(Note, filter(None, said)),

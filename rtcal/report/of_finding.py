@@ -471,6 +471,16 @@ def instructions(
     return [*out, Note(then if finding.kind == "means" else "Simulate again.")]
 
 
+def _to_calibrate(command: str, made: Corrected) -> str:
+    """Return how the corrected room is calibrated; of one with a caution, after which step."""
+    if not made.caution:
+        return f"To calibrate it: {command}."
+    return (
+        "Calibrate it after the effect is confirmed, because a calibration adapts to a wrong effect, "
+        f"too: {command}."
+    )
+
+
 def correct(
     finding: Finding,
     out: Path,
@@ -494,7 +504,7 @@ def correct(
     made = finding.apply(effect=effect, form=form, at=at)
     if verification is not None:
         made = replace(made, caution=verification_words.misses(verification))
-    step = words.next_step(finding, verification)
+    step = words.first_step(finding, verification)
     warned = [*([made.caution] if made.caution else []), *([f"Next: {step}"] if step else [])]
     lines = [" ".join(words.headline(finding)), *warned]
     if made.added is not None:
@@ -509,8 +519,8 @@ def correct(
         lines += [f"{name} does not contain: {'; '.join(report.lost)}."] if report.lost else []
     if finding.kind == "positions":
         lines.append(
-            f"{ROOM} is not calibrated: it holds the input coefficients and the new material. To "
-            f"calibrate it: rtcal fit {out / ROOM} MEASURED --out FOLDER."
+            f"{ROOM} is not calibrated: it holds the input coefficients and the new material. "
+            + _to_calibrate(f"rtcal fit {out / ROOM} MEASURED --out FOLDER", made)
         )
     record["corrected"] = made.to_dict()
     room = made.room
@@ -524,8 +534,9 @@ def correct(
             *warned,
             "",
             *lines_of(calibrated.blocks()),
-            f"{ROOM} and {CASE} hold the input coefficients, not the calibrated ones of this table. To "
-            f"calibrate the room: rtcal calibrate {out / ROOM} MEASURED --out FOLDER.",
+            f"{ROOM} is not calibrated: it holds the input coefficients, as {CASE} does, and not the "
+            "calibrated ones of this table. "
+            + _to_calibrate(f"rtcal calibrate {out / ROOM} MEASURED --out FOLDER", made),
             *(f"Note: {note}" for note in words.noted(finding)),
             *(["The room's file cannot hold:"] if made.notes else []),
             *(f"  - {note}" for note in made.notes),

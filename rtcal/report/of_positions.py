@@ -33,7 +33,9 @@ from rtcal.support.types import Array
 
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
-_MISFIT = "Misfit: squared deviation from what other pairs predict / variance; 1 is usual."
+_MISFIT = (
+    "Misfit: squared deviation from what the other pairs predict, over its variance; 1 is usual."
+)
 _DEVIATION = "deviation / JND, before to after the fit"
 _REMAINS = 1.0
 """Root mean square deviation in JND, audible, from which the page begins with what remains."""
@@ -93,7 +95,7 @@ def blocks(result: PositionsResult) -> list[Block]:
         ),
         *([gap_table(more, result.pairs, *ends, f"Not matched: {_DEVIATION}")] if more else []),
         _material_table(result),
-        Note(f"The coefficients belong to {result.simulator}, and to no other simulator."),
+        Note(f"Use the coefficients with no other simulator than {result.simulator}."),
         *(Note(f"Note: {note}") for note in result.every_note[bool(result.warning) : last]),
     ]
 
@@ -193,8 +195,7 @@ def page(result: PositionsResult) -> Page:
             *_held_out(result),
             Section("What was assumed", "assumed"),
             Note(
-                f"The coefficients belong to {result.simulator}, and to no other simulator. The "
-                "interval "
+                f"Use the coefficients with no other simulator than {result.simulator}. The interval "
                 "is that of a normal distribution. The simulator's error was learned from "
                 f"{runs} reference simulations."
             ),

@@ -17,6 +17,10 @@ _SHOWN_MISSES = 3
 """Bands that miss what was measured and are named in a sentence."""
 _EXACT = 0.005
 """Gap in JND that is printed as 0.00."""
+_USED = (
+    "Matched: alpha is calibrated to it. Held out: neither alpha nor the effect is fitted to it."
+)
+"""What the rows of a table of means are marked by."""
 _MET = 2.0
 """Standard deviations of T within which a calibration has met it."""
 
@@ -35,12 +39,25 @@ def misses(v: Verification) -> str:
         return ""
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
-    return f"Do not simulate with the corrected model: its {said}."
+    which = "room after the change" if v.finding.kind == "states" else "corrected model"
+    return f"Do not simulate with the {which}: {_as_compared(v)}, its {said}."
+
+
+def _as_compared(v: Verification) -> str:
+    """Return with which coefficients or data the corrected model misses a value."""
+    if v.finding.kind == "states":
+        return "with the change that was found"
+    if v.finding.kind == "positions":
+        return "averaged over pairs to which it was not fitted"
+    if not v.runs:
+        return "with calibrated coefficients and the effect at the size that was found"
+    scaled = v.models[1] not in v.runs
+    return f"in the second run{', scaled to the measured T by the equation' * scaled}"
 
 
 def _unproven(v: Verification) -> str:
     """Return what a reader may conclude of an unproven finding, with the reason not yet given."""
-    why = ", because the corrected model does not have the measured values" if v.misses else ""
+    why = ", because the corrected model does not reproduce the measured values" if v.misses else ""
     return f"The verification neither confirms the effect nor rules it out{why}."
 
 
@@ -140,24 +157,26 @@ def _of_time(v: Verification) -> str:
     time, gap = v.quantities[0], v.sizes[1, 0, 0, 0]
     if v.corrected is not None and v.corrected.off > _MET:
         return (
-            f"Over all bands, the corrected model misses the fitted {time} by {v.corrected.off:.1f} "
-            "times its uncertainty (root mean square), because no coefficients near the input agree "
-            "with this effect and size."
+            f"Over all bands, {time} of the calibrated corrected model deviates from the measured "
+            f"{time} by {v.corrected.off:.1f} times the measurement's uncertainty (root mean square): "
+            "with this effect at this size, no coefficients near the input give the measured values."
         )
     how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
     return (
-        f"Calibrated without the effect, the model has the fitted {time} {how}; with the effect, as "
-        "closely as the uncertainty of T allows."
+        f"Calibrated without the effect, the model reproduces the fitted {time} {how}; with the "
+        "effect, as closely as the uncertainty of T allows."
     )
 
 
 def _of_pairs(v: Verification) -> list[str]:
     """Return the gap as stated, and what each half of the pairs added."""
     seeds = v.gaps.shape[1]
+    in_table = "; in the table, ± is the standard deviation over the seeds" * (seeds > 1)
     stated, plainly = mean_of_known(np.abs(v.gaps[:2]), (1, 2, 3, 4)).tolist()
     out = [
-        f"± is the standard error over {len(v.places)} pairs and {seeds} seed{'s' * (seeds != 1)} of "
-        f"the simulator. The model with its input coefficients deviates by {stated:.2f} JND."
+        f"This standard error is that over {len(v.places)} pairs and {seeds} "
+        f"seed{'s' * (seeds != 1)} of the simulator{in_table}. The model with its input "
+        f"coefficients deviates by {stated:.2f} JND."
     ]
     if stated < plainly:
         out.append(
@@ -166,7 +185,7 @@ def _of_pairs(v: Verification) -> list[str]:
     for half, what in zip(v.halves, v.added, strict=True):
         names = ", ".join(" to ".join(pair) for pair in half)
         added = "nothing" if what is None else f"{what.title}, {what.in_words}"
-        out.append(f"From the pairs {names}, rtcal added {added}.")
+        out.append(f"Searching with the pairs {names} alone, rtcal added {added}.")
     return out
 
 
@@ -199,7 +218,8 @@ def gaps(v: Verification) -> Table:
             used = "held out" if v.counted[q, p] else used
             row(f"{quantity} of {place}{f' ({used})' if used else ''}", sizes[:, :, q, p])
     row("all that was held out", v.by_seed)
-    return Table(v.models, rows, corner="mean deviation / JND")
+    note = "" if v.counted.all() else _USED
+    return Table(v.models, rows, corner="mean deviation / JND", note=note)
 
 
 def blocks(v: Verification) -> list[Block]:
