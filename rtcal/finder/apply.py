@@ -304,7 +304,7 @@ class CaseModel(RoomSimulator):
         return run(self.inner, np.clip(spread, 0.0, 1.0), seed=seed)
 
     def spread_over(self, make: Callable[[Room], Simulator]) -> CaseModel:
-        """Return the model in a simulator that ``make`` builds for the stated materials."""
+        """Return the model in a simulator that ``make`` returns for a room with the input materials."""
         if not callable(make):
             raise DataError(
                 f"make = {make!r} must be a function that takes a room and returns a simulator"

@@ -436,9 +436,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Detection:
-    """Hold the score, a ln Bayes factor, that something differs from the model, and its threshold.
+    """Hold the score by which a difference from the model is detected, and the score's threshold.
 
-    Raises ModelError for a score that is not a finite number.
+    The score is a ln Bayes factor: how much more probable the data are if something differs. Raises
+    ModelError for a score that is not a finite number.
     """
 
     score: float

@@ -1191,9 +1191,9 @@ def beyond(
 ) -> list[Parameters]:
     """Return the parameters to try, with further sizes if the largest or smallest size fits best.
 
-    ``likeliest`` are the parameters of ``grid`` that fit best. If they have the last size of the grid,
-    `_MORE` sizes in the same steps are added, up to the limits of the room. None are added at the end
-    where the effect changes nothing.
+    ``grid`` are the parameters tried so far, and ``likeliest`` those that fit best. If they have the
+    largest or smallest size, `_MORE` further sizes in the same steps are added beyond it, up to the
+    limits of the room. None are added at the end where the effect changes nothing.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])

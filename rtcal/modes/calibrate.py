@@ -394,9 +394,8 @@ class ModesResult(Result):
     def in_loop(self, measured: Measurement) -> ModesResult:
         """Return the result for use in `rtcal.calibrate_simulator`, with low bands by the measured T.
 
-        A band is low if it is below the Schroeder frequency for the measured T. Raises DataError if the
-        modes were calibrated together with T, or if every measured band is below the Schroeder
-        frequency.
+        A band is low if it is below the Schroeder frequency, which follows from the measured T. Raises
+        DataError if the modes were calibrated together with T, or if every measured band is low.
         """
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(

@@ -339,11 +339,11 @@ class TimeChange:
         return Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
 
     def possible(self, ratio: Array) -> Array:
-        """Return ln of ratios of T, limited to what absorption that is only added or removed can cause.
+        """Return ln of ratios of T, corrected where absorption is only added or only removed.
 
-        ``ratio`` is ln (T after / T before), which cannot rise if absorption is only added, and cannot
-        fall if it is only removed. An equation may give a longer T with a hard free-standing object;
-        this is corrected to 0.
+        ``ratio`` is ln (T after / T before), which cannot be above 0 if absorption is only added, nor
+        below 0 if it is only removed. An equation may give such a value with a hard free-standing
+        object.
         """
         first, other = (state.room for state in self._both)
         if first.volume == other.volume and first.air == other.air:
@@ -358,8 +358,8 @@ class TimeChange:
     def time_before(self) -> Array:
         """T before in s, (n_bands,): as measured, or else by the equation with uneven absorption.
 
-        For a calibrated room without a given measurement it is the equation's T, because with the
-        room's coefficients the equation gave the measured T.
+        For a calibrated room whose measurement is not given, it is T by the equation alone: with the
+        calibrated coefficients the equation gave the measured T.
         """
         known = self.known
         if known.measured.all() or is_calibrated(known.room):

@@ -279,7 +279,7 @@ class Prediction(TimeChange, Result):
     def probability_together(self, low: Array, high: Array) -> float:
         """Return the probability that T after the change is within the range in all bands at once.
 
-        ``low`` and ``high`` are as of `probability`. Errors of neighbouring bands are correlated: see
+        For ``low`` and ``high`` see `probability`. Errors of neighbouring bands are correlated: see
         `Assumptions.band_correlation`.
         """
         from scipy.stats import multivariate_normal

@@ -493,9 +493,9 @@ def correct(
     """Add what was found to the model, and return the text, its record, and the files for a folder.
 
     ``out`` is the folder. ``verification`` has the caution for the model; for means over positions, it
-    also has the calibration with the effect, which is otherwise computed. ``effect``, ``form`` and
-    ``at`` are as of `Finding.apply`, which raises DataError. The files are returned by path, and there
-    are none if there is nothing to add.
+    also has the calibration with the effect, which is otherwise computed. For ``effect``, ``form``,
+    ``at`` and errors see `Finding.apply`. The files are returned by path, and there are none if there
+    is nothing to add.
     """
     record = finding.to_dict()
     if finding.refusal is not None:

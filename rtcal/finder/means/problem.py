@@ -454,10 +454,11 @@ ONE_LEVEL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ObservedFeatures:
-    """Hold the measured features, (n_configurations, n_features, n_bands), NaN where not measured.
+    """Hold the measured features, such as ln T20; NaN where nothing was measured.
 
-    ``used`` (of the same shape) are the features in use, and ``covariance`` (n_used, n_used) is the
-    covariance R of their measurement. ``origin`` is the source of the uncertainties, in words.
+    ``features`` and ``used``, the mask of the features in use, are (n_configurations, n_features,
+    n_bands). ``covariance`` (n_used, n_used) is the covariance R of their measurement. ``origin`` is a
+    sentence on the source of the uncertainties.
     """
 
     features: Array
@@ -862,7 +863,7 @@ class MeansProblem:
         """Return the covariance of the features by coefficients and climate, and their common errors.
 
         The shapes are (n, n_used, n_used) and (n, n_used, n_directions) for the n hypotheses ``rows``;
-        ``predicted`` is as of `moments`.
+        for ``predicted`` see `moments`.
         """
         made = predicted or self.predicted
         of_time, together = made.log_time_errors(rows)
@@ -898,7 +899,7 @@ class MeansProblem:
 
         The distance is sqrt(r' C⁻¹ r / n) of the n residuals r, which is 1 on average. The p-value is
         the probability of a larger chi-square (Gelman, Meng & Stern 1996; their random draws are not
-        needed, because C contains the prior). ``scale`` is as of `covariance_of`.
+        needed, because C contains the prior). For ``scale`` see `covariance_of`.
         """
         alpha, other = self.covariance_of(i, scale)
         residual = self.residual(i)
@@ -1502,7 +1503,7 @@ class SetPosterior:
     likely: Sequence[tuple[Members, float]]
 
     def best(self, effects: Mapping[str, Effect], families: Names = ()) -> Names:
-        """Return the most probable set that has an effect and no unknown one, of these families."""
+        """Return the most probable set that has known effects only; if given, of these ``families``."""
         return next(
             s
             for s in self.sets

@@ -429,7 +429,7 @@ class _Search:
     hypotheses: PositionsHypotheses
 
     def evidence(self, sources: Array | float = 0.0) -> Array:
-        """Return the log evidence by hypothesis, (n,); ``sources`` as of `likelihoods`."""
+        """Return the log evidence by hypothesis, (n,); for ``sources`` see `likelihoods`."""
         likelihoods = self.numbers.likelihoods(sources)
         return evaluate(likelihoods, self.hypotheses, self.numbers.residual)
 
