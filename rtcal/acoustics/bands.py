@@ -324,9 +324,9 @@ class Conversion:
     Parameters
     ----------
     frequencies, wanted : sequence
-        Centre frequencies in Hz of the bands that have values, and of those that get them.
+        Centre frequencies in Hz of the bands that have values, and of the bands to convert them to.
     missing : bool
-        Whether a wanted band that cannot be converted gets NaN. By default it raises an error.
+        Whether a wanted band that cannot be converted gets NaN; if False, it raises an error.
 
     Raises
     ------

@@ -218,7 +218,8 @@ class Comparison(Result):
     def explained(self) -> dict[str, NDArray[np.bool_]]:
         """Whether errors of the `coefficients` explain a disagreement, (n_bands,) of bool by parameter.
 
-        They do if the rest of the deviation is within one JND or within twice its standard uncertainty.
+        They explain it if the rest of the deviation is within one JND or twice its standard
+        uncertainty.
         """
         return {
             p: where

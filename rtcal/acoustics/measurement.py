@@ -242,7 +242,7 @@ class Measurement:
         sources: Mapping[str, str] | None = None,
         receivers: Mapping[str, str] | None = None,
     ) -> Measurement:
-        """Return the measurement with the values of repeated measurements averaged to one position.
+        """Return the measurement with repeated measurements of one position averaged.
 
         Parameters
         ----------
@@ -557,7 +557,8 @@ class Measurement:
     def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
         """Return the measurement at some source-receiver pairs, in the given order.
 
-        Raises DataError for a pair that the measurement lacks, and if no pair is given.
+        ``pairs`` are (source, receiver). Raises DataError for a pair that the measurement lacks, and if
+        no pair is given.
 
         Examples
         --------
@@ -613,10 +614,10 @@ class Measurement:
 
     @cached_property
     def reverberation_parameter(self) -> tuple[str, ...]:
-        """Name of the T that a calibration matches, per band: ``"t20"``, else ``"t30"``, else ``""``.
+        """Key of the T that a calibration matches, by band: ``"t20"``, else ``"t30"``, else ``""``.
 
-        EDT is never matched, because it depends on the early sound and the source's directivity, which
-        absorption coefficients must not compensate.
+        EDT is never matched, because it depends on the early sound and the source's directivity, for
+        which absorption coefficients must not compensate.
         """
         known = {o.key: np.isfinite(self.mean(o.key)) for o in REVERBERATION}
         each = range(len(self.centre_frequencies))

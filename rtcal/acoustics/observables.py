@@ -829,8 +829,8 @@ def _slope(m: Array) -> Array:
 class Level(Observable):
     """Relative level in dB, with a reference that is the same for all receivers of a source.
 
-    The relative level is sound strength G without a calibrated source. If G was measured, G is used in
-    its place.
+    The relative level is sound strength G but for a constant, which only a calibrated source gives. If
+    G was measured, G is used in its place.
     """
 
     key, label, rank = "level", "level", 90

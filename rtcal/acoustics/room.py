@@ -350,7 +350,7 @@ class Directivity:
     def gain(self, directions: ArrayLike) -> Array:
         """Return the energy in each direction over that of an omnidirectional source, (n, n_bands).
 
-        ``directions`` (n, 3) have any length; n_bands is 1 if the index is a single value.
+        ``directions`` (n, 3) are vectors of any length. n_bands is 1 if the index is a single value.
         """
         vectors = np.asarray(directions, dtype=float)
         vectors = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
@@ -1224,7 +1224,8 @@ class Room:
     def replace(self, **changes: Any) -> Room:
         """Return the room with some fields changed; all rules are checked again.
 
-        Raises DataError as `Room`, and for a field that a room does not have.
+        ``changes`` are the new values by field. Raises DataError for the reasons of `Room`, and for a
+        field that a room does not have.
         """
         try:
             return replace(self, **changes)

@@ -154,12 +154,10 @@ def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:
 def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
     """Return the coefficients nearest to the input that have a given absorption area, without sigma.
 
-    All coefficients count as equally uncertain.
-
-    The coefficients are alpha = mu - C S with C = (S'mu - b) / S'S (Bellows & Katz 2025, Eqs. 9, 10).
-    ``mu`` (n_materials,) or (n_materials, n_bands) are the input coefficients, ``areas`` S
-    (n_materials,) are in m², and ``target`` b, a number or (n_bands,), is the absorption area in m².
-    Coefficients may be below 0 or above 1.
+    All coefficients count as equally uncertain: alpha = mu - C S with C = (S'mu - b) / S'S (Bellows &
+    Katz 2025, Eqs. 9, 10). ``mu`` (n_materials,) or (n_materials, n_bands) are the input coefficients,
+    ``areas`` S (n_materials,) are in m², and ``target`` b, a number or (n_bands,), is the absorption
+    area in m². Coefficients may be below 0 or above 1.
 
     Examples
     --------

@@ -167,6 +167,7 @@ def calibrate(
     equation : Equation, optional
         Reverberation equation; `rtcal.Eyring` with the room's air by default.
     solver : {"clarabel", "osqp"}
+        Solver of the quadratic programme.
     unreachable : {"raise", "nearest"}
         For a band whose T no coefficients within the bounds give: whether to raise an error, or to
         match the nearest possible T and list the band in the result. Only exact matches need it.

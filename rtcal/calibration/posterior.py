@@ -106,13 +106,13 @@ def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior
 
     Before the measurement, coefficients are normal with the room's sigma, cut at their bounds. The
     error of the absorption area that T needs is normal with its standard uncertainty, 0 where unknown.
-    With an exact match T alone determines the absorption area, and the input determines how the
-    materials share it. With a soft match T and the input both determine the absorption area.
+    With an exact match, T alone determines the absorption area, and the input determines how the
+    materials share it. With a soft match, T and the input both determine the absorption area.
 
     Parameters
     ----------
     result : CalibrationResult or JointResult
-        Calibration whose coefficients are asked for.
+        Calibration whose coefficients have this distribution.
     n_samples : int
         Number of samples to return, from at least as many random draws.
     seed : int
@@ -221,7 +221,7 @@ def sensitivity(result: Any) -> Array:
     Parameters
     ----------
     result : CalibrationResult or JointResult
-        Calibration whose coefficients are asked for.
+        Calibration whose derivatives are returned.
 
     Examples
     --------
@@ -263,11 +263,11 @@ class Density:
     """Normal density of unknowns within bounds, linear equalities and linear inequalities.
 
     The density of the unknowns u (size,) is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)), with
-    ``point`` p, ``gradient`` g and ``curvature`` H. ``lower`` and ``upper`` are the bounds of u, and
-    each row of ``matrix`` gives a sum that lies from ``row_lower`` to ``row_upper`` (n_rows,). If both
-    limits of a sum are equal and ``row_noise`` is above 0, the sum is normal about its limit and cut to
-    the values that the bounds allow; g, H and the bounds then determine only how the unknowns share the
-    sum.
+    ``point`` p, ``gradient`` g and ``curvature`` H. ``lower`` and ``upper`` are the bounds of u. Each
+    row of ``matrix`` gives a sum that lies from ``row_lower`` to ``row_upper`` (n_rows,). If both
+    limits of a sum are equal and ``row_noise`` is above 0, the sum is normal about this limit with
+    ``row_noise`` as standard deviation, cut to the values that the bounds allow; g, H and the bounds
+    then determine only how the unknowns share the sum.
     """
 
     point: Array  # p, where the equalities hold

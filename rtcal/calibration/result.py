@@ -586,7 +586,8 @@ class CalibrationResult(Result):
     def multipliers(self) -> Array:
         """Lagrange multiplier D of the match in 1/m², (n_bands,).
 
-        Coefficients at no bound are mu - D S sigma² (Bellows & Katz 2025, Eq. 25).
+        Coefficients at no bound are mu - D S sigma², with the input mu and the areas S (Bellows & Katz
+        2025, Eq. 25).
         """
         composed, matched = self.joint.composition, np.isfinite(self.joint.target)
         found = np.full(matched.shape, np.nan)

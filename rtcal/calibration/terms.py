@@ -383,11 +383,11 @@ def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]
 class HuberDeviation(Term):
     """Term that keeps coefficients near the input, but allows few of them to be far from it.
 
-    The term is the sum of e x²/2 + (1 - e) h(x) over x = (alpha - mu) / sigma, with h(x) = x²/2 for
-    |x| <= t and t |x| - t²/2 beyond (Huber 1964, Eq. 2.4). e = 0.01 makes the answer unique.
+    The term is the sum of e x²/2 + (1 - e) h(x) over x = (alpha - mu) / sigma, with h(x) = x²/2 for |x|
+    <= t and t |x| - t²/2 beyond (Huber 1964, Eq. 2.4). e = 0.01 makes the answer unique.
 
-    When to use it: when some sigma may be wrong, as when a material was taken for another. One
-    coefficient may then move far, and the others need not follow.
+    When to use it: when some sigma may be wrong, as when a material was taken for another one. One
+    coefficient may then move far from its input, so that the others need not move.
 
     Parameters
     ----------
@@ -449,7 +449,7 @@ class MatchWithin(ExactMatch):
     """Constraint that T is within a tolerance of the measured T, in every band that has one.
 
     When to use it: when nobody would hear a smaller deviation, so that coefficients should not change
-    for it. The answer is the nearest to the input that is within the tolerance.
+    for it. The calibrated coefficients are the nearest to the input that give a T within the tolerance.
 
     Parameters
     ----------

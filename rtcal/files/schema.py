@@ -53,11 +53,11 @@ class FileTable(msgspec.Struct, forbid_unknown_fields=True):
 def read(kind: type[T], data: object, place: str = "") -> T:
     """Return the content of a file, or of a part of it, as a value of the type ``kind``.
 
-    ``data`` is what `json_object` or `toml_table` returned, ``kind`` a type that msgspec knows.
-    ``place`` is the part's name in messages, "" for the whole file; the name of a key follows it after
-    a dot, or after a blank if it ends in ``:``.
-    Raises DataError for an unknown or missing key, a value of another type, or one that an object's
-    constructor refuses; the message names place, value and rule, and the key that is likely meant.
+    ``data`` is the content that `json_object` or `toml_table` returned, and ``kind`` a type that
+    msgspec knows. ``place`` is the part's name in messages, "" for the whole file; the name of a key
+    follows it after a dot, or after a blank if it ends in ``:``. Raises DataError for an unknown or
+    missing key, a value of another type, or a value that an object's constructor refuses; the message
+    has place, value and rule, and the key that is likely meant.
 
     Examples
     --------

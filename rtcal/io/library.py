@@ -86,7 +86,7 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
     columns : str, optional
         Meaning of each column in order, with the first line of values and optionally the last, for a
         table without usual headers: ``"from line 3: product; -; value [%] at 250 Hz; value [%] at 500
-        Hz"``, or ``"from line 3 to 9: band; value [-] of Rug"``. The error message proposes it.
+        Hz"``, or ``"from line 3 to 9: band; value [-] of Rug"``. An error message proposes it.
 
     Raises
     ------

@@ -169,7 +169,7 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
 
 
 def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
-    """Return a simulator's result for coefficients, once both are checked.
+    """Return a simulator's result for coefficients, once coefficients and result are checked.
 
     ``alpha`` (n_materials, n_bands) are the coefficients, ``seed`` is that of the random numbers.
 

@@ -407,11 +407,12 @@ class Batch:
 class Paths:
     """Paths from every source to every receiver, in independent batches of equal size.
 
-    `trace` returns them. Their methods return energies and derivatives. ``alpha`` (n_materials,
-    n_bands) are the coefficients, ``air_attenuation`` (n_bands,) is in 1/m, and ``bin_length`` in m is
-    the width of the time bins times the speed of sound. The first bin starts with the first sound, and
-    there are as many bins as all pairs have. Energy is per area, in 1/m², for a source of unit energy,
-    so that the direct sound is 1/(4 pi r²). The scatter of the batches gives the standard error.
+    `trace` returns these paths, and the methods return energies and derivatives. ``alpha``
+    (n_materials, n_bands) are the coefficients, ``air_attenuation`` (n_bands,) is in 1/m, and
+    ``bin_length`` in m is the width of the time bins times the speed of sound. The first bin starts
+    with the first sound, and there are as many bins as all pairs have. Energy is per area, in 1/m², for
+    a source of unit energy, so that the direct sound is 1/(4 pi r²). The scatter of the batches gives
+    the standard error.
     """
 
     batches: tuple[tuple[Batch, ...], ...]  # by source
@@ -690,9 +691,9 @@ class Chords(NamedTuple):
     def least_alpha(self) -> float:
         """Least mean alpha of a room at which at most `MOST_LEAKED` of the paths leave through holes.
 
-        A path is followed until its energy has fallen by 60 dB, which by Eyring takes -ln(10⁻⁶) / -ln(1
-        - alpha) reflections, 130 at alpha = 0.1. The share of rays that leave counts with its standard
-        uncertainty.
+        A path is followed until its energy has fallen by 60 dB. By Eyring's equation this takes
+        ln(10⁻⁶) / ln(1 - alpha) reflections, 130 at alpha = 0.1. The share of rays that leave counts
+        with its standard uncertainty.
         """
         lost = self.lost + self.area_uncertainty / self.area
         if lost == 0:
@@ -711,10 +712,10 @@ class Chords(NamedTuple):
 def by_chords(geometry: Polyhedron, number: int = 100_000, seed: int = 0) -> Chords:
     """Return estimates of volume and surface of a geometry with holes, from rays between its faces.
 
-    Rays start evenly on the faces, in directions by Lambert's law, so that their mean length is 4 V / S
-    (Kuttruff 2009, Eq. 5.4). The share of rays that leave is the area of the holes over that of the
-    faces, if no hole is seen from another. Rays that leave count with the mean length of the others,
-    and with its standard deviation as uncertainty.
+    ``number`` rays start evenly on the faces, in directions by Lambert's law with random numbers of
+    this ``seed``, so that their mean length is 4 V / S (Kuttruff 2009, Eq. 5.4). The share of rays that
+    leave is the area of the holes over that of the faces, if no hole is seen from another. Rays that
+    leave count with the mean length of all other rays, and with its standard deviation as uncertainty.
 
     Examples
     --------
