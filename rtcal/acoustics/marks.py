@@ -81,7 +81,7 @@ octaves 25 % for f = 2 and 75 % for f = 3, in 18 third-octaves 94 % for f = 2.""
 class Plausibility:
     """Agreement of the measured T with the input coefficients, judged by their uncertainties.
 
-    The deviation after a calibration cannot show this agreement, because the calibration removes the deviation.
+    The deviation after a calibration cannot show this, because the calibration removes the deviation.
     """
 
     z: Array
