@@ -12,9 +12,12 @@ from scipy.stats import norm
 
 from rtcal.finder import evidence as densities
 from rtcal.finder import plan
+from rtcal.finder.claim import Reason
+from rtcal.finder.effects import checked_effects
 from rtcal.finder.means.planning import COSTS, Information, extended, possible
 from rtcal.finder.means.problem import Moments
 from rtcal.finder.search import find
+from rtcal.report.finding_words import CHECKS
 from tests.test_discrepancy import controls_of
 from tests.test_several_effects import BOTH, FEW, case_with, compared
 
@@ -125,3 +128,12 @@ def test_a_planned_configuration_is_among_what_can_be_measured() -> None:
     kinds = {str(p.measurement): p for p in plan(case, planned=[bare]).proposals}
     same = next(p for p in kinds.values() if p.kind == "removed")
     assert kinds['configuration "bare"'].information == pytest.approx(same.information, abs=0.1)
+
+
+def test_each_effect_that_cannot_be_taken_out_has_a_way_to_confirm_it() -> None:
+    """The advice was "look it up", without where."""
+    fixed = [e.name for e in checked_effects(None) if not e.removable]
+    assert fixed
+    assert [name for name in fixed if name not in CHECKS] == []
+    assert "rtcal measure" in str(Reason("look it up", {"effect": "noise floor"}))
+    assert "look it up" in str(Reason("look it up", {"effect": "an effect of mine"}))
