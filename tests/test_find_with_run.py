@@ -27,7 +27,7 @@ from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, run
 
 F = 125.0 * 2.0 ** np.arange(6)
 FEWER = ("membrane", "resonator", "curtain", "people", "audience", "covered surface")
@@ -393,6 +393,44 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber: Findi
     assert "are unchanged runs of the program" in str(both)
     drawn = figures.bars(again)
     assert [t.get_text() for t in drawn.axes[0].get_xticklabels()] == [*again.models]
+
+
+def test_the_page_of_a_second_run(
+    absorber: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`verify --out` writes what it printed, which `report` reads again."""
+    absorber.save(tmp_path / "found")
+    absorber.case.configurations[0].measured.save(str(tmp_path / "again.csv"))
+    made = ("--simulated", tmp_path / "again.csv", "--out", tmp_path / "verified")
+    assert run("verify", tmp_path / "found", *made) == 0
+    printed = capsys.readouterr().out
+    page = (tmp_path / "verified" / "report.html").read_text()
+    assert "again.csv --out" in page
+    assert "As simulated" in page or "as simulated" in page
+    assert run("verify", tmp_path / "verified") == 0
+    assert capsys.readouterr().out.splitlines()[:6] == printed.splitlines()[:6]
+    assert run("verify", tmp_path / "found", "--out", tmp_path / "found", "--simulated",
+               tmp_path / "found" / "result.json") == 2  # fmt: skip
+    assert not (tmp_path / "found" / "report.html").exists()
+
+
+def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(
+    absorber: Finding,
+) -> None:
+    first = absorber.case.configurations[0]
+    weak = {name: 0.2 * p for name, p in absorber.probabilities.items()}
+    unsure = replace(absorber, probabilities=weak)
+    with pytest.raises(DataError, match="effect is missing: name the one that the second run"):
+        verify(unsure, simulated=first.measured)
+    assert verify(unsure, simulated=first.measured, effect=absorber.names[0]).effect == "opening"
+    drawn = {p: 1.01 * v[0] for p, v in first.measured.values.items()}
+    other = Configuration(name="curtain drawn", measured=measurement(drawn))
+    run_again = rt.Run(hall(), first.simulated.simulated)
+    case = Case(room=hall(), configurations=[first, replace(other, simulated=run_again)])
+    twice = [replace(c, errors=np.repeat(c.errors, 2, axis=1)) for c in controls()]
+    two = rt.find(case, controls=twice, without=FEWER)
+    made = verify(two, simulated=first.measured, effect=two.names[0])
+    assert any('not compared: "curtain drawn"' in note for note in made.notes)
 
 
 def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:

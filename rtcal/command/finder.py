@@ -83,6 +83,8 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
                 "--before needs a room and the measurement after the change: ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
+        above = f'belongs into {path}, above its [[configuration]]: program = "geometrical"'
+        refuse(stated(options, "program"), f" {above}")
         refuse(stated(options, *_OF_RUN), f" belongs into {path}, into its [[configuration]]")
         case = Case.from_file(path)
         spare(targets, files_of(options))
@@ -111,7 +113,11 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
         if before is None:
             more |= {"simulated": run, **stated(options, "program")}
         return case_of(room, measured, **more)
-    refuse(stated(options, *_OF_MEANS), ": with a geometry there is no such option")
+    refuse(
+        stated(options, *_OF_MEANS),
+        ": with positions there is no such option. Take it with means: a room without [sources] and "
+        "[receivers]",
+    )
     if before is None:
         more |= stated(options, "match") | {
             "exclude": console.pairs("--exclude", options.get("exclude", ()))
@@ -290,7 +296,7 @@ def compare(
         ("geometrical",),
         "Kind of program that made --simulated. A program that traces rays or image sources uses no "
         "equation and has an uneven field of its own, so that neither is taken for an error of the "
-        "room. Only for means over positions: refused with a mesh or a box.",
+        "room. Only for means over positions.",
     ),
     "match",
     "exclude",
@@ -390,7 +396,7 @@ _EFFECT = console.option(
         "With --before, for two states: what was measured after the change at the pairs that the "
         "finding predicts.",
     ),
-    writes=False,
+    console.folder("Folder for the page (report.html), its figures and all numbers (result.json)."),
 )
 def verify(
     found: str,
@@ -399,6 +405,7 @@ def verify(
     simulated: str | None,
     calibrated: str | None,
     effect: str | None,
+    out: Path | None,
 ) -> None:
     """Add the named effect, calibrate again, and compare the deviations that alpha cannot remove.
 
@@ -409,13 +416,18 @@ def verify(
 
     If your program's simulation was given to `rtcal find`, --simulated is the program's result for the
     corrected model, which `rtcal apply` describes. The two results are then compared, each scaled to
-    the measured T by the equation.
+    the measured T by the equation. --out writes the page with what was compared.
 
+    \b
     Example: rtcal verify found
-    """
+    Example: rtcal verify found --simulated corrected_run.csv --out verified
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal import finder
     from rtcal.report import of_finding
+    from rtcal.report.document import page_files
 
+    read = [path for path in (found, before, after, simulated, calibrated) if path is not None]
+    spare([out / name for name in of_finding.WRITTEN] if out else [], read)
     finding, verification = saved(found)
     if before is not None or after is not None:
         if finding.kind != "states":
@@ -451,6 +463,10 @@ def verify(
         verification = verified(finding, kept_beside(found))
         if verification is None:  # too few pairs, which this raises
             verification = finder.verify(finding)
+    if out is not None:
+        write_all(
+            page_files(of_finding.page(verification, command=command()), verification, out), out
+        )
     console.tell(str(verification), verification.to_dict)
 
 

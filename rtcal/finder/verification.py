@@ -449,6 +449,10 @@ def _of_means(
     """Compare the model with and without the best effect, or another one."""
     if not finding.can_be_added:
         raise DataError(f'the verdict is "{finding.verdict}", so there is no effect to add')
+    if simulated is not None and effect is None and finding.undecided is not None:
+        raise DataError(
+            f"effect is missing: name the one that the second run contains. {finding.undecided}"
+        )
     (name, *others) = finding.members if effect is None else finding.chosen(effect)
     if others:
         raise DataError(
@@ -605,6 +609,11 @@ def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:
     first = case.configurations[0]
     runs = [] if first.simulated is None else [Run(first.simulated.room, m) for m in simulated]
     said = [each for run in runs for each in run.beside(first.measured).left_out(FEATURES)]
+    if others := ", ".join(f'"{c.name}"' for c in case.configurations[1:]):
+        said.append(
+            f'Configurations that were not compared: {others}. The second run counts as one of "'
+            f'{first.name}" alone.'
+        )
     return tuple(dict.fromkeys(said))
 
 
