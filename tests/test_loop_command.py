@@ -65,7 +65,7 @@ def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path):
     _, runner, command, files = begun(room, t20, tmp_path)
     before = (tmp_path / "loop.json").read_text()
     done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files])
-    assert "is this table the measurement" in str(done.exception)
+    assert "Is this table the measurement" in str(done.exception)
     assert (tmp_path / "loop.json").read_text() == before
     done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files, "--again"])
     assert "Done" in done.output
@@ -157,9 +157,9 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     (tmp_path / "next.toml").write_bytes(first)
     table = simulate(tmp_path, 1.41)
     done = runner.invoke(cli, [*command, table, *files])
-    assert "has other coefficients than" in str(done.exception)
+    assert "was not read: the coefficients in" in str(done.exception)
     assert (tmp_path / "loop.json").read_bytes() == state
     (tmp_path / "next.toml").write_bytes(second)
     done = runner.invoke(cli, [*command, table, *files])
-    assert "T is about that of the last step" in str(done.exception)
+    assert "its T is about that of the last run" in str(done.exception)
     assert runner.invoke(cli, [*command, simulate(tmp_path), *files]).exit_code == 0

@@ -584,7 +584,7 @@ def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume
     assert picture.stat().st_size > 1000
     said = said_by(capsys, "check", path, "--open", "--picture", picture)
     assert " estimated with rays, S = " in said
-    assert "hole: " not in said.partition("defects:")[0]
+    assert "hole: " not in said.partition("Defects:")[0]
     to = ("--open", "--mended", tmp_path / "m.obj")
     assert "takes the mesh as it is" in said_by(capsys, "check", path, *to, code=2)
     given = ("catalogue", "--mesh", path, "--out", out, "--catalogue", "brick=brick_wall_rough")

@@ -183,7 +183,7 @@ def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> T
     array([nan, 0.7])
     """
     for largest, t in ANSI_S12_60:
-        if checks.positive("volume", volume, " m³") <= largest:
+        if checks.positive("volume", volume, "m³") <= largest:
             f = bands.as_bands(centre_frequencies)
             high = np.where(np.isin(f, _ANSI_BANDS), t, np.nan)
             return Target(np.full(len(f), np.nan), high, _ANSI_SOURCE.format(t))

@@ -286,7 +286,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "implausible": (
         "z",
-        "check areas and volume, then look for a missing effect, before using these coefficients",
+        "check areas and volume, then look for a missing effect (`rtcal find`), before you rely on the "
+        "coefficients of these bands",
     ),
     "bent": (
         "c",
@@ -804,7 +805,7 @@ def trust_marks(
             add(
                 "implausible",
                 f,
-                f"T needs {side} absorption than the input, by over 2 σ",
+                f"T needs {side} absorption than the input gives, by over 2 σ",
             )
     return tuple(marks)
 

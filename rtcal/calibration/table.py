@@ -127,7 +127,10 @@ _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and deviation (in JND) at which the notebook's shading saturates."""
 
 SHIFT = "shift of alpha in standard deviations (input sigma)"
-SIGNS = "Deviation: model - measured (1 JND: 5 %); missing absorption: needed - input."
+SIGNS = (
+    "Deviation: model - measured, before and after calibration (1 JND: 5 % of T). Missing absorption: "
+    "needed by the measured T - given by the input."
+)
 
 _NAMES_OF_METHODS = {
     "mle": "maximum likelihood (mle)",
@@ -168,7 +171,7 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         Table(
             [*labels, "largest shift / σ"],
             calibrated,
-            "Calibrated alpha (* at a bound), largest shift in σ (standard deviations)",
+            "Calibrated alpha (* at a bound); largest shift from the input in its σ",
         ),
         Table(
             labels,
@@ -206,7 +209,7 @@ def _made(record: Mapping[str, Any]) -> list[str]:
     matched = f"to {of_t}" if record["matches_measured_time"] else f"without matching {of_t}"
     method = _NAMES_OF_METHODS.get(record["method"], record["method"])
     return [
-        f"{record['room']}: {record['volume']:g} m³, {area:g} m², {air}; calibrated "
+        f"{record['room']}: {record['volume']:g} m³, {area:g} m² of surfaces, {air}; calibrated "
         f"{matched} by {record['equation']}'s equation and {method}.",
         certificate(record),
     ]
@@ -243,7 +246,7 @@ def _shares_in_words(record: Mapping[str, Any]) -> str:
         if len(known) and known.max() >= _LEAST_SHARE:
             ends = dict.fromkeys([f"{known.min():.0f}", f"{known.max():.0f}"])
             said.append(f"{one['name']} {known.mean():.0f} % ({' to '.join(ends)})")
-    return f"Share of absorption, mean of the bands (range): {', '.join(said)}."
+    return f"{SHARE}, mean over the bands (range): {', '.join(said)}."
 
 
 def _parameters(record: Mapping[str, Any]) -> list[str]:
@@ -312,7 +315,10 @@ def certificate(record: Mapping[str, Any]) -> str:
     """Return a sentence on how exactly the problem was solved."""
     worst = max(abs(record["certificate"][name]) for name in _RESIDUALS)
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
-    return f"Numerical error of alpha: at most {bound:.1e} (largest residual {worst:.1e})."
+    return (
+        f"Numerical error of alpha: at most {bound:.1e} (largest residual of the solution: "
+        f"{worst:.1e})."
+    )
 
 
 def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
@@ -332,8 +338,8 @@ LARGE_GAP = 3.0
 _AGAINST = "The measurement contradicts the input coefficients"
 _ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
 _SOMETHING = (
-    "Something is missing from the model, or an input value or its sigma is wrong: run "
-    "`rtcal find`."
+    "Something is missing from the model, or an input value or its sigma is wrong. Next: check the "
+    "areas, the volume and the measured T; if they are right, run `rtcal find`."
 )
 _OF_ROOM = (
     "surface",
@@ -417,7 +423,7 @@ def _off(record: Mapping[str, Any]) -> tuple[float, str]:
     )
     wanted = record["measured"]["reverberation_time"][k]
     return float(gap[k]), (
-        f"{' and '.join(_parameters(record))} with the input coefficients is off by up to "
+        f"With the input coefficients, {' and '.join(_parameters(record))} is off by up to "
         f"{gap[k]:.1f} JND ({before:.2f} s instead of {wanted:.2f} s at {label})"
     )
 
@@ -430,8 +436,10 @@ def _chance(p: float) -> str:
 def _evidence(record: Mapping[str, Any]) -> str:
     """Return how many rooms deviate as much by chance, with p."""
     p = record["plausibility"]["p_value"]
-    rooms = f"of 100 rooms with right input coefficients, {_chance(p)}"
-    return f"{rooms} would be off at least as much (p = {p:.2g})"
+    return (
+        f"if they are right, {_chance(p)} of 100 rooms would be off at least as much over all bands "
+        f"(p = {p:.2g})"
+    )
 
 
 def _together(record: Mapping[str, Any]) -> str:
@@ -440,8 +448,8 @@ def _together(record: Mapping[str, Any]) -> str:
     if p_together is None or p_together < 2 * p:
         return ""
     return (
-        f"If all handbook values may be off by a common factor, {_chance(p_together)} of 100 would be "
-        f"(p = {p_together:.2g})."
+        f"If all coefficients may also have a common error, {_chance(p_together)} of 100 rooms would "
+        f"be off at least as much (p = {p_together:.2g})."
     )
 
 
@@ -477,12 +485,12 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             "contradicts" if far else "open",
             _AGAINST if far else "There is no overall verdict",
             f"{as_sentence(needs)[:-1]} an absorption more than two standard deviations from the "
-            "input. How likely that is over all bands cannot be calculated, because a coefficient "
-            "stands at a bound.",
+            "input. How likely such a difference is over all bands cannot be calculated, because a "
+            "coefficient stands at a bound.",
         )
     agreed, chance = agreement(p, found["p_together"]), _evidence(record)
     if agreed == "too good":
-        less = f"{off}, less than the input's standard deviations make likely: {chance}."
+        less = f"{off}. This is less than the input's standard deviations make likely: {chance}."
         if record.get("stated_by"):
             return CalibrationVerdict(
                 "open",
@@ -492,14 +500,15 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             )
         return CalibrationVerdict(
             "open",
-            "Too good to be true: T is nearer to that of the input coefficients than its uncertainty",
-            f"{less} Either a sigma or the uncertainty of T is too large, or T was calculated from "
-            "these coefficients.",
+            "Too good to be true: the measured T is nearer to T with the input coefficients than the "
+            "uncertainties of both allow",
+            f"{less} Either a sigma or the uncertainty of T is too large, or the measured T was "
+            "calculated from these coefficients.",
         )
     if agreed == "contradicts" or p < P_CONTRADICTION:
         against = agreed == "contradicts"
         said = (
-            f"{off}, more than the input's standard deviations explain: {chance}.",
+            f"{off}. This is more than the input's standard deviations explain: {chance}.",
             _together(record),
             _longer(record) or (_SOMETHING if against else ""),
         )
@@ -508,7 +517,7 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             _AGAINST if against else _ALIKE,
             " ".join(filter(None, said)),
         )
-    within = f"{off}, which the input's standard deviations explain: {chance}."
+    within = f"{off}. The input's standard deviations explain this: {chance}."
     if largest >= LARGE_GAP:
         return CalibrationVerdict(
             "open",
@@ -539,7 +548,7 @@ def remaining_gap(record: Mapping[str, Any]) -> str:
         return ""
     n, count = int(left.sum()), int(np.isfinite(after).sum())
     said = (
-        f"The calibrated room does not have the measured reverberation time in {n} of {count} bands: "
+        f"The calibrated room does not reproduce the measured T in {n} of {count} bands: "
         f"deviations of up to {after[left].max():.1f} JND remain"
     )
     grown = left & (after >= before + MET)

@@ -275,11 +275,15 @@ class Layout:
                 )
             rows = np.array([self.alpha_rows[self.materials.index(material)]])
         if band is not None:
-            place = bands.index(np.array(self.centre_frequencies), checks.positive("band", band))
+            frequency = checks.number("band", band)
+            place = (
+                bands.index(np.array(self.centre_frequencies), frequency) if frequency > 0 else None
+            )
             if place is None:
                 has = ", ".join(bands.labels(self.centre_frequencies))
                 raise DataError(
-                    f"band {bands.label(band)} is not a band of the room, which has {has}"
+                    f"band = {frequency:g} Hz is not the centre frequency of a band of the room, which "
+                    f"has {has}"
                 )
             columns = np.array([place])
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())

@@ -94,7 +94,8 @@ def start(
     if run is not None:
         worst = float(np.nanmax(np.abs(begun.gap)))
         first = [
-            f"{simulated} is the loop's first simulation: its T is off by {worst:.1f} JND at most."
+            f"{simulated} is the loop's first run: its T deviates from the measured T by up to "
+            f"{worst:.1f} JND."
         ]
         first += [line for said in begun.notes for line in text.wrapped(said)]
     record = {

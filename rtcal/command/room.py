@@ -120,7 +120,7 @@ def room(
     made, notes = _made(materials, own, **stated)
     said, record = described(made, [], notes, {})
     path = shlex.quote(out or "room.toml")
-    then = f"Next: rtcal calibrate {path} t.csv, or --t20 in place of t.csv"
+    then = f"Next: rtcal calibrate {path} t.csv, or --t20 with T by band in place of t.csv"
     if times:
         from rtcal.calibration import methods
 
@@ -280,8 +280,8 @@ class _Materials:
                 f'{place}: "{shown(name)}" is like no material of the catalogue; give another name, '
                 'or alpha by band in its place, "0.1 0.2 0.3 0.3 0.4 0.4"'
             )
-        others = f"; near it are {', '.join(near[1:])}" if near[1:] else ""
-        self.notes.append(f"{name} is taken as the catalogue's {near[0]}{others}")
+        others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
+        self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")
         return replace(entries[near[0]], name=name)
 
 
@@ -314,7 +314,8 @@ def materials(names: tuple[str, ...]) -> None:
     pieces = [catalogue.piece(name, 1, of_octaves) for name in dict.fromkeys(free)]
     origin = catalogue.origin()
     lines = [
-        f"{origin}: alpha in {span(of_octaves)}; `rtcal room` takes 30 % as sigma, at least 0.01"
+        f"{origin}: alpha in {span(of_octaves)}; `rtcal room` takes 30 % of alpha as sigma, at least "
+        "0.01"
     ]
     for each in listed:
         by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))

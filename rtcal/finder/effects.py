@@ -1280,12 +1280,9 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
         if not new or _obey(name, [values[i] for i in new], state):
             continue
         i = next(i for i in new if not _obey(name, [values[i]], state))
-        with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
-        field = f"{where} with {with_what}: {name}"
-        checks.array(field, values[i])
-        raise DataError(
-            f"{field} must be {_rule(*_RULES[name])}, with the same shape as without the effect"
-        )
+        with_what = ", ".join(f"{k} = {v:.3g}" for k, v in grid[i].items())
+        place = f'effect "{effect.name}": your function change, with {with_what},'
+        raise DataError(_disobeyed(place, name, values[i], state))
     return made
 
 
@@ -1307,6 +1304,19 @@ def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
     if together.dtype.kind not in "fiu" or together.shape[1:] not in shapes:
         return False
     return bool((np.isfinite(together) & (together >= least) & (together <= most)).all())
+
+
+def _disobeyed(place: str, name: str, value: Any, state: RoomState) -> str:
+    """Return in words the rule that the value of a field breaks: that of its shape, or of its ends."""
+    found, usual = checks.array(f"{place} {name}", value), np.shape(getattr(state, name))
+    said = f"{place} returns {name}"
+    if found.shape != usual and not _obey(name, [np.zeros_like(found) + 1.0], state):
+        return (
+            f"{said} of shape {found.shape}; {name} must be of shape {usual}, as without the effect"
+        )
+    least, most = _RULES[name]
+    wrong = found[~(np.isfinite(found) & (found >= least) & (found <= most))]
+    return f"{said} = {wrong.flat[0]:.6g}; {name} must be {_rule(least, most)}"
 
 
 def _rule(least: float, most: float) -> str:

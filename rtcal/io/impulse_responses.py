@@ -204,7 +204,7 @@ class Analysis:
             for name in self.measurement.values:
                 needed.setdefault(self.minimum_range[name], []).append(parameter_label(name))
             parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
-            rule = "Values are missing where the impulse-to-noise ratio is below what ISO 3382 requires"
+            rule = "A value is missing where the impulse-to-noise ratio is below what ISO 3382 requires"
             lines += ["", *text.wrapped(f"{rule}: {'; '.join(parts)}.")]
             for sentence in missing:
                 lines += text.wrapped(sentence, indent="  ")

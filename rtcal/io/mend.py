@@ -197,8 +197,8 @@ class Mended:
             head += f", {len(self.geometry.faces)} faces"
         head += f", x × y × z = {' × '.join(rounded(x, 3) for x in self.size)} m"
         rows = [f"{area:10.3f} m²  {name}" for name, area in self.areas.items()]
-        found = [f"  {defect}" for defect in self.defects] or ["  none"]
-        return "\n".join([head, *rows, "defects:", *found])
+        found = ["Defects:", *(f"  {defect}" for defect in self.defects)]
+        return "\n".join([head, *rows, *(found if self.defects else ["Defects: none"])])
 
 
 class MeshError(DataError):

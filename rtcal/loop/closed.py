@@ -881,9 +881,9 @@ class Loop(Result):
                 shade=np.nan_to_num(self.gap) / _STRONGEST_SHADE,
                 shown=gaps,
             ),
-            Row("done within / JND", self.goal, shown=goals),
+            Row("required within / JND", self.goal, shown=goals),
             Row("missing absorption / σ", self.outcome.plausibility.z, "+.1f"),
-            Row("nearest simulation", [int(b) + 1 for b in self.best], "d"),
+            Row("number of nearest run", [int(b) + 1 for b in self.best], "d"),
             Row("status", self.status_now),
         ]
         for parameter, part in self.compromise.items() if len(self.matched.shares) > 1 else ():
@@ -908,11 +908,21 @@ class Loop(Result):
             worst = f"deviates from the measured T by up to {abs(self.gap[k]):.1f} JND ({names[k]})"
         return [
             Note(
-                f"After {n} simulation{'s' * (n != 1)}, T {worst}. The coefficients are valid only "
-                f"for {of}."
+                f"After {n} simulation{'s' * (n != 1)}, the simulated T {worst}. The coefficients are "
+                f"valid only for {of}."
             ),
             Table(names, rows, "By band"),
-            *([Table(names, others, "Means over the pairs, not matched alone")] if others else []),
+            *(
+                [
+                    Table(
+                        names,
+                        others,
+                        "Other parameters, means over pairs: first run (before), nearest run (after)",
+                    )
+                ]
+                if others
+                else []
+            ),
             *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self.every_note),
         ]
 
@@ -922,15 +932,16 @@ class Loop(Result):
         notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
         if "not confirmed" in self.status:
             notes.append(
-                "Not confirmed: simulated once more, the deviation exceeds tolerance plus noise, or "
-                "the noise exceeds the tolerance. Simulate with less noise (more paths)."
+                "Not confirmed: in one more simulation the deviation exceeds the tolerance plus the "
+                "noise, or the noise alone exceeds the tolerance. Simulate with less noise (more "
+                "paths)."
             )
         notes += cautions(self.trust_marks)
         if self.prior.is_uncertain:
             notes.append(
-                f"The room is uncertain ({in_words(self.prior)}). These coefficients serve the "
-                "simulator with volume and areas of its file, and contain the room's error, too. The "
-                "coefficients of the materials are in result.of_uncertain_room."
+                f"The room is uncertain ({in_words(self.prior)}). These coefficients are for the "
+                "simulator with the volume and areas of the room's file, so they also make up for the "
+                "errors of both. The coefficients of the materials are in result.of_uncertain_room."
             )
         return [*notes, *([] if self.low is None else [self.low.loop_note]), *self.notes]
 
@@ -1295,22 +1306,22 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
         doubt = marks[0].sentence
     elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
         doubt = (
-            "every T20 equals the measured T20 to the last digit: is this table the measurement "
+            "every T20 equals the measured T20 to the last digit. Is this table the measurement "
             "instead of the simulation?"
         )
     elif same:
-        step_is = "the last step's" if same[-1] == len(loop.steps) else f"that of step {same[-1]}"
+        step_is = "the last run" if same[-1] == len(loop.steps) else f"run {same[-1]}"
         doubt = (
-            f"the table is {step_is}, though alpha changed: was the room that was written last "
-            "simulated?"
+            f"its values equal those of {step_is}, although the coefficients are others now. Was the "
+            "room simulated that `rtcal loop` wrote last?"
         )
     elif last is not None and not loop.follows(step, last):
         doubt = (
-            "T is about that of the last step, though alpha changed: was the room written last "
-            "simulated, and with its coefficients?"
+            "its T is about that of the last run, although the coefficients are others now. Was the "
+            "room simulated that `rtcal loop` wrote last, and with its coefficients?"
         )
     if doubt:
-        raise DataError(f"{table}: {doubt} (use --again if this is intended)")
+        raise DataError(f"{table}: {doubt} If the table is right, add --again")
 
 
 def record(
@@ -1331,10 +1342,13 @@ def record(
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
         written = np.round(Room.from_file(out).alpha, 9)
     if written is not None and not np.array_equal(written, np.round(alpha, 9)):
+        again = "`rtcal loop back`, and then `rtcal loop next` with the table before,"
+        again = again if loop.steps else "`rtcal loop start`"
         raise DataError(
-            f"{out} has other coefficients than {state} asked for, and {table} may have been "
-            "simulated with those. `rtcal loop back` writes the right coefficients again; delete "
-            f"{out} if it was not simulated"
+            f"{table} was not read: the coefficients in {out} are not those that {state} needs to be "
+            f"simulated, because one of the two files was changed. If {table} was simulated with the "
+            f"right coefficients, delete {out} and repeat the command. Otherwise {again} writes the "
+            "right ones"
         )
     try:
         after = loop.record(alpha, simulated)
@@ -1355,18 +1369,20 @@ def write(loop: Loop, state: str, out: str) -> str:
     room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
     n, of = loop.simulations, f"of the loop in {Path(state).name!r}"
     note = f"# To simulate: run {n + 1} {of}.\n"
-    end = f"Next: simulate with the coefficients in {out}, then run `rtcal loop next`."
+    end = (
+        f"Next: simulate with the coefficients in {out}, then give the result to `rtcal loop next`."
+    )
     if n and loop.finished:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
         left = len([s for s in loop.status if s not in (*_LEFT_ALONE, "not confirmed")])
         missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
         end = (
-            f"Done{missed}. {out} has the coefficients of each band's best step: simulate them "
-            "together, then `rtcal loop next` checks the result."
+            f"Done{missed}. {out} has the coefficients of each band's nearest run. Next: simulate them "
+            "together, then give the result to `rtcal loop next`, which checks it."
         )
         if loop.after is not None:
             off = [s == "not confirmed" for s in loop.status]
-            end = f"Done{missed}. {out} has the coefficients, which were simulated together."
+            end = f"Done{missed}. {out} has the calibrated coefficients, which were simulated together."
             if any(off):
                 where = ", ".join(labels(loop.prior.centre_frequencies[off]))
                 end += (

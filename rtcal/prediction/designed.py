@@ -525,7 +525,8 @@ class Design(Result):
         ]
         needed = (
             f"{listed(parts)} bring T into the target in each band with a probability of "
-            f"{np.nanmin(self.probability[target.bounded]):.2f} or more, at a cost of {self.cost:.0f}."
+            f"{np.nanmin(self.probability[target.bounded]):.2f} or more. This is the cheapest design; "
+            f"the cost is {self.cost:.0f}."
             if parts
             else "Nothing is needed: T is in the target in each band with the required probability."
         )
@@ -539,10 +540,10 @@ class Design(Result):
             Note(needed),
             Note(f"The target of {self.model.before.name} is {target.source}."),
             Note(
-                "All bands are in range at once with a probability of "
+                "T is in the target in all bands at once with a probability of "
                 f"{self.probability_together:.2f}. Probabilities are means over random draws{drawn}."
             ),
-            Note(f"Cost by probability: {frontier}."),
+            Note(f"Cost by the probability required in each band: {frontier}."),
             *map(Note, made.sentences),
             Table(columns, treatments, corner="treatment"),
             Table(bands.labels(made.after.centre_frequencies), [*made.rows, *made.within(target)]),

@@ -41,7 +41,6 @@ from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array
 
-_CAUTION = "Caution: "
 JND = 0.05
 """One just noticeable difference of T, as a share of T."""
 COVERAGE = 0.9
@@ -376,7 +375,7 @@ class Prediction(TimeChange, Result):
             Row("               to / s", high, ".2f"),
             Row("change / s", self.mean - self.time_before, "+.2f"),
             Row("change / %", 100 * JND * self.change, "+.1f"),
-            Row("half of the interval / %", 100 * JND * self.half_width, ".1f"),
+            Row("half the interval / % of T", 100 * JND * self.half_width, ".1f"),
         ]
 
     def within(self, target: Target) -> list[Row]:
@@ -384,7 +383,7 @@ class Prediction(TimeChange, Result):
         return [
             Row("target: from / s", target.low, ".2f"),
             Row("        to / s", target.high, ".2f"),
-            Row("probability of range", self.probability(target.low, target.high), ".2f"),
+            Row("probability of target", self.probability(target.low, target.high), ".2f"),
         ]
 
     def blocks(self) -> list[Block]:
@@ -545,10 +544,8 @@ class Predictions(Result):
         )
         common = [said for said in every[0].sentences if all(said in p.sentences for p in every)]
         own = [(p.name, s) for p in every for s in p.sentences if s not in common]
-        cautions = [f"Caution, {n}: {s[len(_CAUTION) :]}" for n, s in own if s.startswith(_CAUTION)]
-        cautions += [f"{name}: {said}" for name, said in own if not said.startswith(_CAUTION)]
         found: list[Block] = [Note(head) for p in every for head in p.heads]
-        found += [*map(Note, cautions), *map(Note, common)]
+        found += [*map(Note, words.joined(own)), *map(Note, common)]
         found += [Table(labels, every[0].rows[:2]), *beside]
         chosen = ("90 %", "      ", "change / %")
         for p in every:

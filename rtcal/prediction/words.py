@@ -26,11 +26,13 @@ ALIKE, CHANGED_ALONE = (
 )
 COVERS, PLACES = "the covered areas", "where the cover lies"
 
+_CAUTION = "Caution: "
+
 _ADVICE = {
-    STAYS: "measure T in a second state of the room, which separates the absorption that stays from "
-    "that of the change",
-    EQUATION: "measure T in a second state of the room, which shows the error of the equation, or use "
-    "a simulator",
+    STAYS: "measure T in a second state of the room, such as with part of the change, to separate "
+    "the absorption that stays from that of the change",
+    EQUATION: "measure T in a second state of the room, such as with part of the change, to determine "
+    "the error of the equation, or use a simulator",
     BEFORE: "measure T in the room as it is",
     SIZES: "survey the volume and the areas, and measure the climate if it is uncertain",
     MEASUREMENT: "measure T at more positions",
@@ -48,8 +50,7 @@ def advice(part: str, n_states: int) -> str:
         return "measure T in the room as it is"
     if part == EQUATION and n_states > 1:
         return (
-            "use a simulator: several states were measured, and the remaining uncertainty is "
-            "the error of the equation"
+            "use a simulator: several states were measured, and the error of the equation remains"
         )
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
@@ -81,7 +82,9 @@ CALIBRATED_BEFORE = (
     "of its coefficients. For the measured T before, give the room as it was before its "
     "calibration, and the measurement."
 )
-GIVEN = "The interval takes the measured T before as exact: its uncertainty is not included."
+GIVEN = (
+    "The interval takes the measured T before as exact: the uncertainty of this T is not included."
+)
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "
     "for all of them on one pair of walls, where T falls less. To narrow it, give the axis of "
@@ -107,16 +110,16 @@ def headline(
         by = f"{format(ends[0], form)} to {by}"
     low, high = interval
     return (
-        f"{parameter} {verb} by {by} %, most at {labels[k]}: from {before[k]:.2f} to {after[k]:.2f} s "
-        f"(90 % interval {low[k]:.2f} to {high[k]:.2f} s)."
+        f"{parameter} {verb} by {by} %. The largest change is at {labels[k]}: from {before[k]:.2f} to "
+        f"{after[k]:.2f} s (90 % interval {low[k]:.2f} to {high[k]:.2f} s)."
     )
 
 
 def not_measured(labels: Sequence[str]) -> str:
     """Return that T before was not measured in some bands."""
     return (
-        f"At {', '.join(labels)} T before was not measured; the T of the model is used, and its "
-        "error is part of the interval."
+        f"At {', '.join(labels)} T before was not measured. There the T of the model is used, and the "
+        "interval includes the error of the model."
     )
 
 
@@ -129,22 +132,54 @@ def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]
     (own, even), (_, of_axes) = times.items()
     low, high = interval
     outside = [f"{t:.2f} s" for t in times.values() if not low <= t <= high]
-    allowed = f"leaves out {' and '.join(outside)}" if outside else "allows for both"
+    allowed = f"does not contain {' and '.join(outside)}" if outside else "contains both values"
     why = "The less the surfaces scatter, the longer is T"
     if of_axes < even:
-        why = "Arau-Puchades' is the shorter where one pair of walls absorbs nearly all"
+        why = "Arau-Puchades' T is the shorter where one pair of walls absorbs nearly everything"
     return (
-        f"Caution: the absorption is uneven, so at {label} T after is {even:.2f} s by {own}'s "
-        f"equation and {of_axes:.2f} s by Arau-Puchades'. {why}, and the interval {allowed}."
+        f"{_UNEVEN}, so T after depends on the equation. {why}. The interval {allowed}: at {label} "
+        f"{even:.2f} s by {own}'s equation and {of_axes:.2f} s by Arau-Puchades'."
     )
+
+
+_UNEVEN = "Caution: the absorption is uneven after the change"
+_NEXT = "Next: to narrow the interval, "
+_CALIBRATION = "Calibration "
+_JOINED = (_UNEVEN, _CALIBRATION, _NEXT)
+"""Beginnings of the sentences that end with values after a colon, which `joined` joins."""
+
+
+def joined(own: Sequence[tuple[str, str]]) -> list[str]:
+    """Return the sentences of several variants, each with its variant's name.
+
+    ``own`` are pairs of name and sentence. A sentence that two variants share up to its values is
+    printed once, with the values of both.
+    """
+    alike: dict[str, list[tuple[str, str]]] = {}
+    for name, said in own:
+        start, _, values = said.rpartition(": ")
+        key = start if said.startswith(_JOINED) else f"{name}: {said}"
+        alike.setdefault(key, []).append((name, values.removesuffix(".") if key == start else said))
+    found = []
+    for start, each in alike.items():
+        name, said = each[0]
+        if len(each) > 1:
+            found.append(f"{start}: {'; '.join(f'{n} {values}' for n, values in each)}.")
+            continue
+        said = f"{start}: {said}." if start.startswith(_JOINED) else said
+        of_caution = said.startswith(_CAUTION)
+        found.append(
+            f"Caution, {name}: {said.removeprefix(_CAUTION)}" if of_caution else f"{name}: {said}"
+        )
+    return sorted(found, key=lambda said: not said.startswith("Caution"))
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
     """Return the largest of an interval's parts, (n_bands,) each, and how to narrow the interval."""
     largest, share = next((name, float(part.mean())) for name, part in parts.items())
     return (
-        f"Next: to narrow the interval, {advice(largest, n_states)}. The largest part of its variance "
-        f"is {largest} ({100 * share:.0f} %)."
+        f"{_NEXT}{advice(largest, n_states)}. The largest part of the interval's variance comes from "
+        f"{'the ' * largest.startswith('error')}{largest} (mean of the bands): {100 * share:.0f} %."
     )
 
 
@@ -175,7 +210,10 @@ def gained(without: Array, half_width: Array) -> str:
     """Return in words by how much calibration narrowed an interval, from half widths over T."""
     before, after = (100 * np.median(of) for of in (without, half_width))
     how = "narrowed" if after < before else "did not narrow"
-    return f"Calibration {how} the interval: ± {before:.0f} % of T without it, ± {after:.0f} % with it."
+    return (
+        f"{_CALIBRATION}{how} the interval of T (median of the bands): ± {before:.0f} % without "
+        f"calibration and ± {after:.0f} % with it."
+    )
 
 
 def blocks_of(

@@ -47,7 +47,7 @@ def sentence(c: Comparison) -> str:
             f"{parameter_label(p)} is {deviates}{_positions(c, p) if p == wrong[0] else ''}"
         )
     if more := [parameter_label(p) for p in wrong[_MOST:]]:
-        said.append(f"{listed(more)} disagree{'s' * (len(more) == 1)}, too")
+        said.append(f"{listed(more)} also disagree{'s' * (len(more) == 1)}")
     if right:
         said.append(f"{right} agree{'s' * (len(c.parameters) - len(wrong) == 1)}")
     return f"{whose} {'; '.join(said)}."
@@ -88,7 +88,7 @@ def _positions(c: Comparison, parameter: str) -> str:
     each = _over_bands(c.at_pairs[parameter][:, c.disagrees[parameter]])
     each = each[np.isfinite(each)]
     alike = np.ptp(each) <= abs(each.mean())
-    return f", {'the same' if alike else 'not the same'} at all positions"
+    return f", {'about' if alike else 'not'} alike at all positions"
 
 
 def _over_bands(off: Array) -> Array:
@@ -107,9 +107,9 @@ def _largest_pair(c: Comparison) -> list[str]:
     i = worst[p]
     z = float(_over_bands(c.at_pairs[p] / c.pair_uncertainty[p])[i])
     return [
-        f"Of all pairs, {' to '.join(c.pairs[i])} deviates most: {parameter_label(p)} by "
-        f"{number(float(each[p][i]), '+.1f')} JND ({number(abs(z), '.1f')} standard uncertainties), "
-        "mean over the bands."
+        f"Of all pairs, {' to '.join(c.pairs[i])} deviates most: in the mean over the bands, its "
+        f"{parameter_label(p)} deviates by {number(float(each[p][i]), '+.1f')} JND "
+        f"({number(abs(z), '.1f')} standard uncertainties of the measurement)."
     ]
 
 
@@ -132,8 +132,8 @@ def _multiple(c: Comparison) -> list[str]:
             if factor < 1:
                 factor, whose = 1 / factor, ("The measured", "program's")
             return [
-                f"{whose[0]} {time} is {factor:.1f} times the {whose[1]} in all bands: check the scale "
-                "of the room, and which parameter each table holds."
+                f"{whose[0]} {time} is {factor:.1f} times the {whose[1]} in all bands. Check the scale "
+                f"of the room, and whether both tables hold {time}."
             ]
     return []
 
@@ -160,16 +160,16 @@ def _coefficients(c: Comparison) -> list[str]:
     no = named(lambda p: c.disagrees[p] & ~c.explained[p])
     if not yes:
         return [
-            "Errors of the input coefficients within their sigma do not explain these deviations."
+            "Errors of the input coefficients that their sigma allows do not explain these deviations."
         ]
     if not no:
         return [
-            "In each band by itself, errors of the input coefficients within their sigma can explain "
-            "these deviations."
+            "Errors of the input coefficients that their sigma allows can explain each of these "
+            "deviations. Each band was tested by itself."
         ]
     return [
-        f"In each band by itself, errors of the input coefficients within their sigma can explain the "
-        f"deviation of {listed(yes)}, but not that of {listed(no)}."
+        "Errors of the input coefficients that their sigma allows can explain the deviations of "
+        f"{listed(yes)}, but not those of {listed(no)}. Each band was tested by itself."
     ]
 
 
@@ -179,10 +179,10 @@ def _of_the_equation(c: Comparison) -> list[str]:
     if c.of_equation or not differs.any():
         return []
     how = _groups(c, c.of_the_equation, differs, REVERBERATION[0].key, ("shorter", "longer"))
-    said = f"Compared with the program's, {c.equation.name}'s T is {how}"
+    said = f"T by {c.equation.name}'s equation, compared with the program's T, is {how}"
     compared = [p for p in c.parameters if p in {o.key for o in REVERBERATION}]
     if compared and not any((at & differs).any() for at in c.disagrees.values()):
-        said += ", where the program agrees with the measurement"
+        said += ". In these bands the program agrees with the measurement"
     return [said + "."]
 
 
@@ -202,11 +202,12 @@ def _table(c: Comparison) -> Table:
         if c.coefficients[p][1].any():
             by_band = zip(c.disagrees[p], possible, strict=True)
             said = ["-" if not wrong else "yes" if can else "no" for wrong, can in by_band]
-            rows.append(Row("  coefficients explain it", said))
+            rows.append(Row("  explained by coefficients", said))
     return Table(
         bands.labels(c.run.room.centre_frequencies),
         rows,
-        f"{'Equation' if c.of_equation else 'Run'} minus measurement, the largest deviation first",
+        f"{'Equation' if c.of_equation else 'Program'} - measurement; the parameter that deviates most "
+        "is first",
     )
 
 

@@ -49,10 +49,10 @@ def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
 @pytest.mark.long
 def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None:
     found, folder, html = designed
-    assert f"at a cost of {found.cost:.0f}." in html
+    assert f"the cost is {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
     assert (
-        f"All bands are in range at once with a probability of {found.probability_together:.2f}"
+        f"T is in the target in all bands at once with a probability of {found.probability_together:.2f}"
         in html
     )
     assert "Cost by probability, side by side" in html
