@@ -52,7 +52,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     assert f"the cost is {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
     assert (
-        f"T is in the target in all bands at once with a probability of {found.probability_together:.2f}"
+        f"in the target in all bands at once with a probability of {found.probability_together:.2f}"
         in html
     )
     assert "Cost by probability, side by side" in html
