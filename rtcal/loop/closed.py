@@ -1342,12 +1342,13 @@ def record(
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
         written = np.round(Room.from_file(out).alpha, 9)
     if written is not None and not np.array_equal(written, np.round(alpha, 9)):
-        again = "`rtcal loop back`, and then `rtcal loop next` with the table before,"
-        again = again if loop.steps else "`rtcal loop start`"
+        anew = "`rtcal loop start`"
+        if loop.steps:
+            anew = "`rtcal loop back`, and then `rtcal loop next` with the table before,"
         raise DataError(
             f"{table} was not read: the coefficients in {out} are not those that {state} needs to be "
             f"simulated, because one of the two files was changed. If {table} was simulated with the "
-            f"right coefficients, delete {out} and repeat the command. Otherwise {again} writes the "
+            f"right coefficients, delete {out} and repeat the command. Otherwise {anew} writes the "
             "right ones"
         )
     try:
