@@ -94,7 +94,7 @@ class Target:
 
     low: Array
     high: Array
-    source: str = "as you gave it"
+    source: str = "given by you"
 
     def __post_init__(self) -> None:
         low, high = checks.array("low", self.low), checks.array("high", self.high)

@@ -538,7 +538,7 @@ class Design(Result):
         return [
             *map(Note, made.heads[:-1]),
             Note(needed),
-            Note(f"The target of {self.model.before.name} is {target.source}."),
+            Note(f"The target is {target.source}."),
             Note(
                 "T is in the target in all bands at once with a probability of "
                 f"{self.probability_together:.2f}. Probabilities are means over random draws{drawn}."

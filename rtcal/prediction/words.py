@@ -83,7 +83,8 @@ CALIBRATED_BEFORE = (
     "calibration, and the measurement."
 )
 GIVEN = (
-    "The interval takes the measured T before as exact: the uncertainty of this T is not included."
+    "The interval of T after the change does not include the uncertainty of the T that was measured "
+    "before it."
 )
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "

@@ -988,8 +988,8 @@ def _flagged(share: Share) -> str:
 def _in_rooms(data: str, *counts: str, by: str = "") -> str:
     """Return which simulated rooms the counts are from, and the counts, a sentence each."""
     where = (
-        f"How often results are right was counted{by} in simulated rooms that were not used to make "
-        f"the finder, with {data}."
+        f"The following was counted{by} in simulated rooms with {data}. None of them was used to make "
+        "the finder."
     )
     return " ".join([where, *map(as_sentence, counts)])
 

@@ -47,7 +47,8 @@ def sentence(c: Comparison) -> str:
             f"{parameter_label(p)} is {deviates}{_positions(c, p) if p == wrong[0] else ''}"
         )
     if more := [parameter_label(p) for p in wrong[_MOST:]]:
-        said.append(f"{listed(more)} also disagree{'s' * (len(more) == 1)}")
+        deviates = f"deviate{'s' * (len(more) == 1)}"
+        said.append(f"{listed(more)} {deviates} by more than {NOTICED:g} JND, too")
     if right:
         said.append(f"{right} agree{'s' * (len(c.parameters) - len(wrong) == 1)}")
     return f"{whose} {'; '.join(said)}."
@@ -164,8 +165,8 @@ def _coefficients(c: Comparison) -> list[str]:
         ]
     if not no:
         return [
-            "Errors of the input coefficients that their sigma allows can explain each of these "
-            "deviations. Each band was tested by itself."
+            "Errors of the input coefficients that their sigma allows can explain the deviations of "
+            f"{listed(yes)}. Each band was tested by itself."
         ]
     return [
         "Errors of the input coefficients that their sigma allows can explain the deviations of "

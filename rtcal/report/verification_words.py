@@ -40,7 +40,7 @@ def misses(v: Verification) -> str:
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
     which = "room after the change" if v.finding.kind == "states" else "corrected model"
-    return f"Do not simulate with the {which}: {_as_compared(v)}, its {said}."
+    return f"Do not simulate with the {which}: {_as_compared(v)}; its {said}."
 
 
 def _as_compared(v: Verification) -> str:
@@ -50,14 +50,14 @@ def _as_compared(v: Verification) -> str:
     if v.finding.kind == "positions":
         return "averaged over pairs to which it was not fitted"
     if not v.runs:
-        return "with calibrated coefficients and the effect at the size that was found"
+        return "with the effect at its size, no coefficients near the input give the measured T"
     scaled = v.models[1] not in v.runs
     return f"in the second run{', scaled to the measured T by the equation' * scaled}"
 
 
 def _unproven(v: Verification) -> str:
     """Return what a reader may conclude of an unproven finding, with the reason not yet given."""
-    why = ", because the corrected model does not reproduce the measured values" if v.misses else ""
+    why = ", because the corrected model does not reproduce all measured values" if v.misses else ""
     return f"The verification neither confirms the effect nor rules it out{why}."
 
 
