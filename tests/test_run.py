@@ -221,8 +221,8 @@ def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
 @pytest.mark.parametrize(
     ("factor", "slope", "said"),
     [
-        (2.0, 0.0, "The program's T20 is 2.0 times the measured one in all bands: check the scale"),
-        (0.5, 0.0, "The measured T20 is 2.0 times the program's in all bands: check the scale"),
+        (2.0, 0.0, "The program's T20 is 2.0 times the measured one in all bands. Check the scale"),
+        (0.5, 0.0, "The measured T20 is 2.0 times the program's in all bands. Check the scale"),
         (2.0, 0.1, ""),  # other coefficients are otherwise off from band to band
         (1.2, 0.0, ""),
     ],
@@ -262,7 +262,7 @@ def test_the_program_agrees_only_where_no_parameter_disagrees() -> None:
     for c80, agrees in (([0.0, 0.0], True), ([3.0, 3.0], False)):
         run = rt.Run(box(), rt.Measurement.from_values(F, t20=times, c80=c80))
         said = " ".join(str(rt.compare(box(), measured, run)).split())
-        assert ("where the program agrees with the measurement" in said) == agrees
+        assert ("In these bands the program agrees with the measurement" in said) == agrees
 
 
 def test_without_a_run_the_equation_is_compared() -> None:
