@@ -40,19 +40,19 @@ def misses(v: Verification) -> str:
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
     which = "room after the change" if v.finding.kind == "states" else "corrected model"
-    return f"Do not simulate with the {which}: {_as_compared(v)}; its {said}."
+    return f"Do not simulate with the {which}: {_as_compared(v)} its {said}."
 
 
 def _as_compared(v: Verification) -> str:
     """Return with which coefficients or data the corrected model misses a value."""
     if v.finding.kind == "states":
-        return "with the change that was found"
+        return "with the change that was found,"
     if v.finding.kind == "positions":
-        return "averaged over pairs to which it was not fitted"
+        return "averaged over pairs to which it was not fitted,"
     if not v.runs:
-        return "with the effect at its size, no coefficients near the input give the measured T"
+        return "with the effect at its size, no coefficients near the input give the measured T;"
     scaled = v.models[1] not in v.runs
-    return f"in the second run{', scaled to the measured T by the equation' * scaled}"
+    return f"in the second run{', scaled to the measured T by the equation' * scaled},"
 
 
 def _unproven(v: Verification) -> str:
