@@ -40,6 +40,8 @@ a plain board is ``plasterboard``."""
 _PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board"}
 """Words that say where a material is, and of which form, rather than which it is."""
 _PEOPLE = {"audience", "chairs", "orchestra"}
+_OF_THE_THING = 2.0
+"""Weight of the word that names the thing, over that of others."""
 _OF_A_PLACE = 0.4
 _LEAST_LIKENESS = 0.76
 """Share of the letters that two words have in common: 0.93 for "curtains" and "curtain", 0.75 for
@@ -267,7 +269,7 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
     described, called = (names(), _called()) if among is None else (among, {})
-    asked = _words(name)
+    asked, thing = _words(name), _thing(name)
     of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
     scores = dict.fromkeys(described, 0.0)
     for word in asked:
@@ -278,6 +280,7 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
         having = sum(share > 0 for share in close.values())
         weight = np.log((len(described) + 1) / (having + 1)) if having else 0.0
         weight *= _OF_A_PLACE if word in _PLACES else 1.0
+        weight *= _OF_THE_THING if word == thing else 1.0
         for entry, share in close.items():
             scores[entry] += weight * share
     for entry, (own, _) in of_entry.items():
@@ -337,6 +340,12 @@ def _words(text: str) -> frozenset[str]:
     """Return the words of a name, each as the catalogue has it."""
     words = re.findall(r"[^\W\d_]{3,}", text.lower())
     return frozenset(_catalogue_words().get(word, word) for word in words)
+
+
+def _thing(text: str) -> str:
+    """Return the last word of a name, which names the thing: a stage curtain is a curtain."""
+    (*_, last) = ("", *re.findall(r"[^\W\d_]{3,}", text.lower()))
+    return _catalogue_words().get(last, last)
 
 
 def _closest(word: str, others: Collection[str]) -> float:
