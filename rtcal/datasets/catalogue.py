@@ -344,7 +344,7 @@ def _words(text: str) -> frozenset[str]:
 
 def _thing(text: str) -> str:
     """Return the last word of a name, which names the thing: a stage curtain is a curtain."""
-    (*_, last) = ("", *re.findall(r"[^\W\d_]{3,}", text.lower()))
+    last: str = ["", *re.findall(r"[^\W\d_]{3,}", text.lower())][-1]
     return _catalogue_words().get(last, last)
 
 
