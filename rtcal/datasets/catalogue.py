@@ -279,8 +279,7 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
         }
         having = sum(share > 0 for share in close.values())
         weight = np.log((len(described) + 1) / (having + 1)) if having else 0.0
-        weight *= _OF_A_PLACE if word in _PLACES else 1.0
-        weight *= _OF_THE_THING if word == thing else 1.0
+        weight *= _OF_A_PLACE if word in _PLACES else _OF_THE_THING if word == thing else 1.0
         for entry, share in close.items():
             scores[entry] += weight * share
     for entry, (own, _) in of_entry.items():
