@@ -269,7 +269,8 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
     described, called = (names(), _called()) if among is None else (among, {})
-    asked, thing = _words(name), _thing(name)
+    asked = _words(name)
+    (*_, thing) = "", *_in_order(name)  # the last word: a stage curtain is a curtain
     of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
     scores = dict.fromkeys(described, 0.0)
     for word in asked:
@@ -335,16 +336,15 @@ def _catalogue_words() -> dict[str, str]:
     return {other: word for word, others in stated for other in others.split()}
 
 
+def _in_order(text: str) -> list[str]:
+    """Return the words of a name in their order, each as the catalogue has it."""
+    words = re.findall(r"[^\W\d_]{3,}", text.lower())
+    return [_catalogue_words().get(word, word) for word in words]
+
+
 def _words(text: str) -> frozenset[str]:
     """Return the words of a name, each as the catalogue has it."""
-    words = re.findall(r"[^\W\d_]{3,}", text.lower())
-    return frozenset(_catalogue_words().get(word, word) for word in words)
-
-
-def _thing(text: str) -> str:
-    """Return the last word of a name, which names the thing: a stage curtain is a curtain."""
-    last: str = ["", *re.findall(r"[^\W\d_]{3,}", text.lower())][-1]
-    return _catalogue_words().get(last, last)
+    return frozenset(_in_order(text))
 
 
 def _closest(word: str, others: Collection[str]) -> float:

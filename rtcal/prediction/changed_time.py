@@ -104,9 +104,7 @@ class KnownRoom:
     )
     others: tuple[MeasuredState, ...] = ()  # further measured states
     doubts: tuple[TrustMark, ...] = ()  # those of the input, of `rtcal.acoustics.marks.of_input`
-    shares: Array | None = (
-        None  # directions of the materials, (n_materials, 3); by default `facing`
-    )
+    shares: Array | None = None  # directions (n_materials, 3); None for those of `facing`
 
     @property
     def n_measured(self) -> int:
