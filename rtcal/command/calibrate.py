@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +56,6 @@ def calibrate(
     `rtcal report calibrated` makes a page of the results. The equation then has the measured T; for
     the T of your own program, `rtcal loop start --simulated` begins with what it gave.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.changes import facing
     from rtcal.calibration import methods
 
     if out is not None:
@@ -82,12 +80,7 @@ def calibrate(
     with console.without_air_warning():
         data = console.measured(prior, measured, t20=t20, t30=t30)
         result = methods.calibrate(prior, data, equation=equation, **stated)
-    shares = facing(prior)
-    if prior.scene.mesh is not None:
-        from rtcal.io import geometry_files
-
-        shares = geometry_files.directions(prior)
-    result = replace(result, shares=shares)
+    result = console.directed(result)
     if out is not None:
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
         figures.write_folder(result, out, pictures)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,14 +122,14 @@ def predict(
         if known is None and (measured is not None or also):
             known = calibrated(before, measured, also, equation)
         if known is None:
-            stated = directed(known_room(before, equation))
+            stated = console.directed(known_room(before, equation))
             told(predict_variants(stated, variants, target=target), out)
             return
         if before.scene.sources and not console.is_quiet():
             console.warn(
                 "T is predicted by an equation; the folder of `rtcal fit` predicts every position"
             )
-        told(predict_variants(directed(known), variants, target=target, run=run), out)
+        told(predict_variants(console.directed(known), variants, target=target, run=run), out)
         return
     if target is not None:
         raise DataError(
@@ -159,13 +158,6 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
         )
     found: Result = load(room)
     return found
-
-
-def directed(known: Any) -> Any:
-    """Return what is known about a room with the directions of its surfaces, also those of its mesh."""
-    from rtcal.io import geometry_files
-
-    return replace(known, shares=geometry_files.directions(known.room))
 
 
 def calibrated(
@@ -252,5 +244,5 @@ def design(
         "a file of treatments",
         lambda text: read_treatments(text, result.prior, catalogue.material),
     )
-    result = directed(result)
+    result = console.directed(result)
     told(cheapest(result, stated, target, in_file if probability is None else probability), out)
