@@ -78,8 +78,8 @@ class Air:
         """Return the air's energy attenuation coefficient m in 1/m at each frequency, (n_bands,).
 
         ``frequencies`` are in Hz. The intensity of a plane pure tone falls as exp(-m x) over the
-        distance x in m (ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3). The term 4mV of reverberation
-        equations needs m in 1/m; to convert a value in dB/m to it, divide the value by 10 lg e = 4.34.
+        distance x in m (ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3). Reverberation equations need m in
+        1/m for their term 4mV. To convert m from dB/m to 1/m, divide it by 10 lg e = 4.34.
         """
         f = checks.array("frequencies", checks.listed("frequencies", frequencies))
         kelvin = self.temperature + 273.15

@@ -153,7 +153,7 @@ def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
     """Return in words which of the known bands are chosen.
 
     ``f`` (n_bands,) are the centre frequencies in Hz. ``chosen`` (n_bands,) is True for the bands to
-    name, and ``known`` (n_bands,) for the bands that could be chosen, such as those with a measured T.
+    name. ``known`` (n_bands,) is True for the bands that could be chosen: those with a measured T.
 
     Examples
     --------
@@ -257,7 +257,7 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
     """Return the correlation of errors between bands, (n_bands, n_bands), by their distance in octaves.
 
     ``frequencies`` (n_bands,) are in Hz. ``per_octave``, 0 to below 1, is the correlation of two bands
-    an octave apart; bands n octaves apart have per_octave ** n.
+    an octave apart; bands n octaves apart have the correlation per_octave ** n.
     """
     octave = np.log2(np.asarray(frequencies, dtype=float))
     apart = np.abs(octave[:, np.newaxis] - octave)
@@ -291,8 +291,8 @@ def schroeder_frequency(t: Array, volume: float) -> Array:
 def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     """Return the mean reverberation time T in s at middle frequencies.
 
-    The mean is over the octaves 500 and 1000 Hz or their third-octaves; without these, over all bands.
-    ``t`` (n_bands,) is T in s, NaN where missing. The mean is NaN if T is missing in all of its bands.
+    The mean is over the octaves 500 and 1000 Hz or their third-octaves. If T is missing in all of
+    these, the mean is over all bands with T. ``t`` (n_bands,) is T in s, NaN where missing.
 
     Examples
     --------
@@ -326,13 +326,13 @@ class Conversion:
     frequencies, wanted : sequence
         Centre frequencies in Hz of the bands that have values, and of the bands to convert them to.
     missing : bool
-        Whether a wanted band that cannot be converted gets NaN; if False, it raises an error.
+        Whether the value in a wanted band is NaN if a band that the conversion needs is missing.
 
     Raises
     ------
     DataError
-        If a third-octave of a wanted octave is missing, or the octave of a wanted third-octave.
-        `obtainable` returns the bands that can be converted.
+        If ``missing`` is False, and ``frequencies`` lack a third-octave of a wanted octave or the
+        octave of a wanted third-octave. `obtainable` returns the wanted bands without this error.
 
     Examples
     --------
@@ -368,9 +368,9 @@ class Conversion:
     def mean(self, values: Array, scale: Scale = ITSELF) -> Array:
         """Return values converted to the wanted bands, (..., n_wanted), NaN where a value is missing.
 
-        ``values`` (..., n_bands) are those in the bands that have values. ``scale`` is the quantity
-        that is averaged over third-octaves, such as `Observable.averaging`. By default it is the value
-        itself, as for absorption coefficients and their sigma.
+        ``values`` (..., n_bands) are in the bands ``frequencies``. ``scale`` is the function of a value
+        that is averaged over third-octaves, such as `Observable.averaging`. By default the value itself
+        is averaged, as for absorption coefficients and their sigma.
         """
         parts = self._taken(checks.array("values", values))
         if parts.shape[-1] == 1:
@@ -380,8 +380,9 @@ class Conversion:
     def uncertainty(self, uncertainty: Array, values: Array, scale: Scale) -> Array:
         """Return the standard uncertainty of values after their conversion, (..., n_wanted).
 
-        ``uncertainty`` and ``values``, (..., n_bands) each, are those before the conversion. ``scale``
-        is the quantity that is averaged over third-octaves, such as `Observable.averaging`.
+        ``values`` (..., n_bands) are the values before the conversion, and ``uncertainty`` (...,
+        n_bands) is their standard uncertainty. ``scale`` is the function of a value that is averaged
+        over third-octaves, such as `Observable.averaging`.
         """
         if in_thirds(self.new) and not in_thirds(self.old):
             return np.asarray(np.sqrt(3) * self._taken(uncertainty)[..., 0])
@@ -391,7 +392,7 @@ class Conversion:
 
 
 def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
-    """Return the ``wanted`` bands in Hz that can be converted from the bands ``frequencies``.
+    """Return the ``wanted`` bands in Hz to which values in the bands ``frequencies`` can be converted.
 
     Examples
     --------
@@ -405,7 +406,7 @@ def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
-    """Return the bands in Hz of ``frequencies`` that are not used to convert to any ``wanted`` band.
+    """Return the bands of ``frequencies``, in Hz, that no conversion to a ``wanted`` band uses.
 
     Examples
     --------
@@ -419,7 +420,7 @@ def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 
 
 def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -> str:
-    """Return a sentence on how a quantity is converted to the wanted bands; "" if nothing is converted.
+    """Return a sentence on how a quantity is converted to the wanted bands; "" without a conversion.
 
     Examples
     --------

@@ -174,8 +174,8 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
 def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
     """Return the longest T that ANSI/ASA S12.60 allows in a classroom: 0.6 s, or 0.7 s above 283 m³.
 
-    ``volume`` is in m³, ``centre_frequencies`` in Hz. Raises DataError above 566 m³, for which the
-    standard states no T.
+    The limit applies from 500 to 2000 Hz; it is NaN in other bands. ``volume`` is in m³,
+    ``centre_frequencies`` in Hz. Raises DataError above 566 m³, where the standard states no T.
 
     Examples
     --------
@@ -465,8 +465,8 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     Raises
     ------
     DataError
-        If the room has no such surface or less of it, or a new material has the name of a material of
-        the room but other coefficients.
+        If the room has less area of a material than a change takes, or if a new material has the name
+        of a material of the room but other coefficients.
 
     Examples
     --------
@@ -482,13 +482,13 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
 
 
 def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
-    """Return the changes, with the surface that becomes bare where a material on it is removed.
+    """Return the changes, with each removal of a material that lies on a surface as a covering.
 
-    The names of the room's surfaces state which material lies on which surface
-    (`rtcal.acoustics.room.lying_on`); all other materials are free-standing. Raises DataError for an
-    object that is no `Change`, and for a material of which only a part lies on other surfaces. In a
-    closed box, DataError is also raised for a removed surface that lies on no other and was not added
-    by one of the changes.
+    The material that lies below, and becomes bare, then covers the removed one. The names of the room's
+    surfaces state which material lies on which (`rtcal.acoustics.room.lying_on`); all other materials
+    are free-standing. Raises DataError for an object that is no `Change`, and for a removed material
+    of which only a part lies on others. In a closed box, DataError is also raised for a removed surface
+    that lies on no other and that no change has added.
     """
     out = []
     added = {name_of(each.add) for each in changes if isinstance(each, Change)}
@@ -546,9 +546,9 @@ def placed(
     ``shares`` (n_materials, 3) are the shares of each material's area that face x, y and z before the
     changes, by default those of `facing`. A covering faces the same way as the surface below it. If a
     part of a material that faces several directions is covered, each direction loses the same share.
-    ``like`` is another state of the room, for directions that this room does not give: materials of
-    both states face the same way in both, and new material faces the way of the material that it
-    replaces, or is free-standing if it replaces none. Raises DataError for the reasons of `changed`.
+    ``like`` is another state of the room, from which directions are taken that ``before`` does not
+    give: a material of both states faces the same way in both; a new one faces the way of the material
+    that it replaces, or is free-standing if it replaces none. Raises DataError as `changed` does.
     """
     shares = facing(before) if shares is None else shares
     towards = np.zeros((before.n_materials, len(DIRECTIONS)))
@@ -957,11 +957,11 @@ def facing(room: Room, geometry: Any = None) -> Array:
 
     With a ``geometry``, a `rtcal.simulators.Polyhedron`, the shares are those of its faces: an oblique
     face counts by the squares of its normal's components, and a material without a face is unknown.
-    With None, the first of these rules that applies gives the shares: the ``axis`` of a surface; a name
-    of a surface or material that means floor, ceiling or wall (English, German, French, Spanish,
-    Italian, Portuguese); an area equal to that of faces of the box of the room's ``dimensions``; the
-    rest of that box, or of a room whose floor or ceiling is named. Walls without a box face x and y by
-    halves.
+    With None, the first of these rules that applies gives the direction of a surface: its ``axis``; its
+    name or its material's, if that means floor, ceiling or wall (English, German, French, Spanish,
+    Italian, Portuguese); its area, if faces of the box of the room's ``dimensions`` have the same. The
+    last surfaces take the faces of the box that are left; without dimensions, a named floor or ceiling
+    gives the box. Walls without a box face x and y by halves.
     """
     if geometry is not None:
         rows = {name: row for row, name in enumerate(room.materials)}

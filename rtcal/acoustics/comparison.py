@@ -165,13 +165,13 @@ class Comparison(Result):
 
     @cached_property
     def coefficients(self) -> dict[str, Array]:
-        """Mean and standard deviation of the deviation that errors of coefficients can explain, in JND.
+        """Deviation that errors of the coefficients can cause, in JND: mean and standard deviation.
 
-        They are (2, n_bands) by parameter, and follow from the sigma of the run's coefficients and from
-        the errors that all coefficients have in common (`rtcal.acoustics.room_errors`), by the change
-        of the equation's T. The mean is 0 for T20, or for T30 if T20 is not compared. Other parameters
-        change with T as in an exponential decay, so that the deviation of T gives their mean. The
-        coefficients of a calibrated room explain nothing, because they were chosen for T.
+        They are an array (2, n_bands) by parameter. The errors are the sigma of the run's coefficients
+        and errors that all coefficients have in common (`rtcal.acoustics.room_errors`); the equation
+        gives the change of T that they cause. The mean is 0 for T20, or for T30 if T20 is not compared.
+        Other parameters change with T as in an exponential decay, so that the deviation of T gives
+        their mean. Both are 0 for a calibrated room, whose coefficients were chosen for T.
         """
         room, n = self.run.room, self.run.room.n_bands
         own_covariance = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
@@ -216,10 +216,10 @@ class Comparison(Result):
 
     @cached_property
     def explained(self) -> dict[str, NDArray[np.bool_]]:
-        """Whether errors of the `coefficients` explain a disagreement, (n_bands,) of bool by parameter.
+        """Whether errors of the coefficients explain a disagreement, (n_bands,) of bool by parameter.
 
-        They explain it if the rest of the deviation is within one JND or twice its standard
-        uncertainty.
+        They explain it if the deviation minus the mean that `coefficients` gives is within one JND or
+        twice its standard uncertainty.
         """
         return {
             p: where

@@ -113,9 +113,9 @@ def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
 class MeanEquation(ReverberationEquation):
     """Equation in which T depends on one mean over the walls, such as the mean absorption coefficient.
 
-    The absorption exponent is a function E of the mean of h(alpha), the contribution of each wall,
-    weighted by area. E and h are the identity unless an equation defines them. All methods take arrays
-    of any shape, element by element.
+    The absorption exponent is E(mean), where the mean over the walls is that of their contributions
+    h(alpha), weighted by area. E and h are the identity unless an equation defines them. E and h take
+    arrays of any shape, element by element.
     """
 
     largest_alpha: ClassVar[float] = np.inf
@@ -161,10 +161,10 @@ class MeanEquation(ReverberationEquation):
         return self if isinstance(self, LinearEquation) else Eyring(self.speed_of_sound)
 
     def diffuse_field(self) -> MeanEquation:
-        """Return the equation that a simulator's T follows in a diffuse field: this one, or Eyring's.
+        """Return the equation for the comparison with a simulator in which the field is diffuse.
 
-        The deviation of the simulator's T from that equation then shows the error of the room's model
-        alone.
+        This is Eyring's in place of an equation that does not hold in a diffuse field, such as
+        Sabine's or Millington's; any other equation is returned unchanged.
         """
         return Eyring(self.speed_of_sound) if self.wrong_when_diffuse else self
 
@@ -427,8 +427,8 @@ class Kuttruff(LinearEquation):
 
     The absorption exponent is a = a' (1 - gamma² a' / 2), with Eyring's a' = -ln(1 - mean alpha) and
     the relative variance gamma² of the free paths. It peaks at a' = 1 / gamma², for gamma² = 0.4 at a
-    mean coefficient of 0.918. The equation does not hold beyond the peak, so that a shorter T than
-    there raises an error.
+    mean coefficient of 0.918. The equation does not hold beyond the peak: a T shorter than at the peak
+    raises an error.
 
     Parameters
     ----------

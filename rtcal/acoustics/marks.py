@@ -85,7 +85,7 @@ class Plausibility:
     """
 
     z: Array
-    """Absorption area that T needs less that of the input coefficients, over its standard deviation,
+    """Absorption area that T needs minus that of the input coefficients, over its standard deviation,
     (n_bands,); NaN where no T was matched."""
     q: float
     """Sum of z² over the bands; if bands are correlated, z'R^-1 z with the correlation R of z."""
@@ -108,9 +108,9 @@ def agreement(p_value: float | None, p_together: float | None = None) -> Agreeme
     They agree too well if T of the input coefficients is nearer to the measured T than the stated
     uncertainties make likely: an uncertainty is then too large, or T was calculated from these
     coefficients. ``p_value`` is the probability of a larger deviation if input and measurement are
-    right; None if there is no such probability, and then the result is None. ``p_together`` is the same
-    probability if all coefficients may also be too high or too low together, None if unknown. There is
-    no contradiction if either probability is large enough.
+    right. If it is unknown, None, the result is None too. ``p_together`` is the same probability if all
+    coefficients may also be too high or too low together, None if unknown. They contradict only if both
+    probabilities are small.
     """
     if p_value is None:
         return None
@@ -127,7 +127,7 @@ def plausibility(
     Parameters
     ----------
     difference : array (n_bands,)
-        Absorption area that the measured T needs less that of the input coefficients, in m²; NaN
+        Absorption area that the measured T needs minus that of the input coefficients, in m²; NaN
         where no T was measured.
     covariance : array (n_bands, n_bands)
         Covariance of ``difference`` in m⁴, if input and measurement are right.
@@ -350,12 +350,12 @@ FAR_ELSE = 10.0
 
 
 def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_]:
-    """Return which values (n_bands,) are far above or below those of the bands beside them, as True.
+    """Return True for each value that is far above or below those of the bands beside it, (n_bands,).
 
     A jump between neighbouring bands begins a new group of bands, unless it leads back to an earlier
     group. All values outside the largest group are far off, but none is if two groups are equally
-    large. Values that are not above 0 count as missing. ``late`` is True for T20 and T30, and False for
-    other parameters, whose values in the first and the last band are not judged.
+    large. ``values`` (n_bands,) that are not above 0 count as missing. ``late`` is True for T20 and
+    T30, and False for other parameters, whose first and last band are not judged.
     """
     found = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -550,11 +550,11 @@ which on a decimal point or a unit is wrong. Empty and furnished rooms differ by
 def of_unit(
     times: Array, stated: Array, name: str = "T", of: str = "that of the input coefficients"
 ) -> list[TrustMark]:
-    """Return a caution if T is in another unit: off by one large factor in all bands.
+    """Return a caution if T may be in another unit, because one large factor is missing in all bands.
 
     ``times`` are the measured T in s and ``stated`` the T in s to compare with, such as that of the
-    input coefficients; both are (n_bands,), NaN where missing. In the caution's text ``name`` stands
-    for the first and ``of`` for the second.
+    input coefficients; both are (n_bands,), NaN where missing. ``name`` is the name of the measured T
+    in the caution's text, and ``of`` that of the other T.
 
     Examples
     --------
@@ -692,18 +692,17 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
 def z_within_bounds(
     room: Room, difference: Array, variance: Array, shift: Array, active: NDArray[Any]
 ) -> Array:
-    """Return z, the deviation of the input from T in sigmas, in bands with coefficients at bounds.
+    """Return the deviation z of the measured T from the input, where a coefficient is at a bound.
 
-    z (n_bands,) is NaN in all other bands. It is the distance in standard deviations from the input to
-    the nearest coefficients within the bounds that give the measured T (Hasofer & Lind 1974, J. Eng.
-    Mech. Div. ASCE 100, 111-121). z² is the sum of (shift / sigma)² over the coefficients at bounds,
-    plus r² over its variance, where r is the part of the difference that the other coefficients have to
-    make up for.
+    z (n_bands,) is NaN in all other bands. Its size is the distance, in standard deviations, from the
+    input coefficients to the nearest coefficients within the bounds that give the measured T (Hasofer &
+    Lind 1974, J. Eng. Mech. Div. ASCE 100, 111-121). z² is the sum of (shift / sigma)² over the
+    coefficients at bounds, plus r² over its variance, where r is the part of ``difference`` that the
+    other coefficients have to make up for. z has the sign of ``difference``.
 
-    ``difference`` (n_bands,) is the absorption area that T needs less that of the input coefficients in
-    m², and ``variance`` (n_bands,) is its variance in m⁴ without bounds. ``shift`` (n_materials,
-    n_bands) is the change of the coefficients by the calibration. ``active`` (n_materials, n_bands) is
-    not 0 for coefficients at a bound.
+    ``difference`` (n_bands,) is the absorption area in m² that T needs minus that of the input, and
+    ``variance`` (n_bands,) is its variance in m⁴ without bounds. ``shift`` (n_materials, n_bands) is
+    the change of the coefficients by the calibration; ``active``, of this shape, is not 0 at a bound.
 
     Examples
     --------

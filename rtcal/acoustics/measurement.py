@@ -99,9 +99,9 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
 
 
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
-    """Return for each pair the source-receiver pair that it is or repeats, (n_pairs,), by the names.
+    """Return the pairs (source, receiver) with the names of repeats replaced by the original names.
 
-    Raises DataError for different names that look alike (`rtcal.support.checks.look_alike`).
+    For example, R1#2 becomes R1 (`of_names`). Raises DataError for different names that look alike.
     """
     of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]

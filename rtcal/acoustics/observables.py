@@ -398,7 +398,7 @@ class DecaySlope(Relative):
     averages: ClassVar[tuple[float, float] | None] = None
     """Constants a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5)."""
     bend: ClassVar[tuple[str, float, float] | None] = None
-    """Test for a curved decay by the ratio of this parameter to T20, less 1: name of the ratio, its
+    """Test for a curved decay by the ratio of this parameter to T20, minus 1: name of the ratio, its
     limit in percent, and its standard deviation times sqrt(B T) in straight decays (4,000 exponential
     decays of Gaussian noise, B T = 44 to 355)."""
     jnd = 0.05
@@ -770,7 +770,7 @@ class STI(Observable):
     def overall(self, values: Array, frequencies: Array) -> Array:
         """Return the STI over the octaves from 125 Hz to 8 kHz, (...); NaN if one octave is missing.
 
-        It is the sum of alpha_k M_k less the sum of beta_k sqrt(M_k M_k+1), where M_k is the modulation
+        It is the sum of alpha_k M_k minus that of beta_k sqrt(M_k M_k+1), where M_k is the modulation
         transfer index of octave k (IEC 60268-16:2011, A.5.6). ``values`` (..., n_bands) are the
         indices, ``frequencies`` (n_bands,) are in Hz.
         """

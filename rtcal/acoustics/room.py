@@ -102,15 +102,15 @@ class Scene:
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names that the measurement's pairs have. Give both, or neither.
     directivity : mapping of str to Directivity or "unknown"
-        Directivity of each source; a source without one is taken as omnidirectional. The path of a
-        directivity's file follows the rule of the mesh's path.
+        Directivity of each source; a source without one is taken as omnidirectional. Its file's path,
+        in a file, is relative to that file.
     position_uncertainty : float
         Root mean square error of the positions in m.
     leaks : bool
         Whether the mesh may have small holes, as `rtcal import --leaks` writes; see
         `rtcal.simulators.Polyhedron`.
     surfaces : mapping of str to sequence of str
-        Names of each surface's faces, where coplanar faces of one material are not the surfaces.
+        Names of the mesh's faces that form each surface; else coplanar faces of one material form one.
 
     Raises
     ------
@@ -260,8 +260,8 @@ class Directivity:
     Parameters
     ----------
     index : float or array (n_bands,), optional
-        Directivity index in dB per band, 0 (omnidirectional) to 25: the level on the axis less that of
-        an omnidirectional source of the same power.
+        Directivity index in dB per band, 0 (omnidirectional) to 25: the level on the axis above that
+        of an omnidirectional source of the same power.
     aim : (x, y, z)
         Direction of the axis in the room's coordinates, of any length.
     gains : array (n_bands, n_theta, n_phi), optional
@@ -1138,8 +1138,8 @@ class Room:
     def in_bands(self, wanted: Iterable[float]) -> Room:
         """Return the room with its coefficients converted to other bands, octaves or third-octaves.
 
-        ``wanted`` are their centre frequencies in Hz. Raises DataError if the room lacks a third-octave
-        of a wanted octave, or the octave of a wanted third-octave.
+        ``wanted`` are the centre frequencies of these bands in Hz. Raises DataError if the room lacks a
+        third-octave of a wanted octave, or the octave of a wanted third-octave.
         """
         conversion = bands.Conversion(self.centre_frequencies, wanted)
         tables = {n: getattr(self, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
@@ -1178,10 +1178,10 @@ class Room:
         )
 
     def with_rows(self, rows: Sequence[Material], **changes: Any) -> Room:
-        """Return the room with other materials, each with its area.
+        """Return the room with the materials ``rows`` in place of its own; each must have its area.
 
-        ``rows`` are the materials. ``changes`` are other fields of the room to change, as in `replace`.
-        The room keeps scattering coefficients only if all materials have them.
+        ``changes`` are new values of other fields of the room, as in `replace`. The room keeps
+        scattering coefficients only if all materials have them.
 
         Examples
         --------
@@ -1245,7 +1245,7 @@ class Room:
     ) -> Room:
         """Return a room from its materials and single surfaces, whose areas are summed per material.
 
-        A material without surfaces must state its area; a material with neither is left out.
+        A material must have surfaces or an ``area``; a material with neither is left out of the room.
         ``objects`` are pieces such as persons. ``prior`` is the rule for sigma of materials that state
         none; with None each material must state sigma. ``stated`` are the other fields of `Room`.
         Raises DataError for the reasons of `Room`, for a surface with an unknown material, for a
@@ -1493,8 +1493,8 @@ def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
     """Return the values of a mapping by material in the order of ``materials``.
 
     A ``value`` that is no mapping is returned unchanged. ``place`` is its name in error messages.
-    Raises DataError if the keys are not those materials, and for a table with labels, such as a pandas
-    one, whose rows may have another order.
+    Raises DataError if the keys are not exactly ``materials``, and for a table with labels, such as a
+    pandas one, whose rows may have another order.
     """
     if hasattr(value, "to_numpy"):
         raise DataError(
@@ -1527,7 +1527,9 @@ def above_one_hint(alpha: float) -> str:
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
-    """Return the text by which a room's record identifies measured data: their values without NaN.
+    """Return the text by which a room's record identifies measured data: their kind and values.
+
+    ``values`` are by band in Hz, or by pair and band; NaN is left out.
 
     Examples
     --------
@@ -1595,10 +1597,10 @@ def _shared(one: str, other: str) -> list[str]:
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
-    """Raise DataError if the room was already calibrated to some of these data.
+    """Raise DataError if the room was already calibrated to some of the data that ``names`` identify.
 
-    Each of ``names`` is one or more texts of `fingerprint`, separated by blanks. The error's message
-    has the values that would count twice.
+    Each name is one or more texts of `fingerprint`, separated by blanks. The error's message has the
+    values that would count twice.
     """
     before = [] if room.calibration is None else room.calibration.measured.split()
     anew = [one for name in names for one in name.split()]

@@ -40,23 +40,23 @@ class Assumptions:
         none.
     common : float
         Standard deviation of the equation's error of ln T that is the same before and after the change.
-        It also stands for handbook coefficients that are all too high or too low, because T alone
-        cannot distinguish the two.
+        It includes the error of handbook coefficients that are all too high or too low, because T
+        alone cannot distinguish the two errors.
     factor : float
         Standard deviation of ln f, where f is the factor by which the equation counts the absorption of
         a material too high or too low, the same before and after the change.
     least : float
-        Standard deviation of f alpha that is added for each material as an absorption coefficient: a
-        further standard deviation least / alpha of ln f, which is large for small alpha.
+        Standard deviation of a further error of each material's f alpha, as an absorption coefficient.
+        It adds the standard deviation least / alpha to ln f, which is large for small alpha.
     evenness, evenness_sigma : float
-        Mean and standard deviation of a number from 0 to 2 that interpolates ln T between equations
-        where the surfaces of one axis absorb more than the others: 0 is the equation itself (diffuse
-        field), 1 Arau-Puchades', 2 Fitzroy's.
+        Mean and standard deviation of the number that interpolates ln T between three equations if the
+        surfaces of one axis absorb more than the others: at 0 the room's equation (diffuse field), at 1
+        Arau-Puchades' and at 2 Fitzroy's.
     one_surface : float
         Probability that all exchanged surfaces are on one axis, if the room does not give their axes.
     own : float
-        Relative standard deviation of a change of ln T between two states of the room that the errors
-        above do not cover.
+        Relative standard deviation of all further errors of the change of ln T between two states of
+        the room.
     changed : float
         Least standard deviation of a new material's coefficients in predictions at positions. A
         coefficient with sigma = 0 stays exact.
@@ -117,13 +117,13 @@ measured coefficients."""
 def common_error_columns(
     alpha: Array, sigma: Array, frequencies: Array, power: float = POWER
 ) -> tuple[Array, Array]:
-    """Return the changes of coefficients by one standard deviation of each error of their tables.
+    """Return the changes of coefficients by one standard deviation of each error of handbook values.
 
-    The first array has the changes by a factor and by a slope over frequency that all materials have in
-    common; the second those by a factor and a slope of each material alone. Each is (2, n_materials,
-    n_bands). ``alpha`` and ``sigma`` (n_materials, n_bands) are the coefficients and their standard
-    deviations, ``frequencies`` (n_bands,) are in Hz. Where sigma is smaller than a handbook's, the
-    errors fall with this ratio to the ``power``.
+    The errors are a factor and a slope over frequency: in the first array those that all materials have
+    in common, in the second those of each material alone. Each array is (2, n_materials, n_bands).
+    ``alpha`` and ``sigma`` (n_materials, n_bands) are the coefficients and their standard deviations,
+    ``frequencies`` (n_bands,) are in Hz. Where sigma / alpha is below a handbook's 0.3, the changes are
+    multiplied by the ratio of the two to the ``power``.
 
     Examples
     --------
@@ -141,7 +141,7 @@ def common_error_columns(
 
 
 def of_absorption(areas: Array, alpha: Array, sigma: Array, frequencies: Array) -> Array:
-    """Return the changes of the absorption area by one standard deviation of each error of the tables.
+    """Return the changes of the absorption area by one standard deviation of each handbook error.
 
     The changes are in m², (n_errors, n_bands), and the errors are those of `common_error_columns`.
     ``areas`` (n_materials,) are in m², ``alpha`` and ``sigma`` (n_materials, n_bands) are the

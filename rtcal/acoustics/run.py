@@ -128,7 +128,7 @@ class Run:
         Raises
         ------
         DataError
-            If no parameter has values of both in a common band, or with ``by_pair`` at a common pair.
+            If run and measurement have no parameter and band in common, with ``by_pair`` at one pair.
         """
         run, measured = self.simulated, measured.in_bands(self.room.centre_frequencies)
         own = run.pairs, measured.pairs
