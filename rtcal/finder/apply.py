@@ -88,25 +88,26 @@ class Corrected:
     """Model of the case with its effects, as a simulator, for means."""
 
     def simulator(self, make: Callable[[Room], Simulator] | None = None) -> Any:
-        """Return a simulator of the corrected model; the rows of its alpha are the room's materials.
+        """Return a simulator of the corrected model, which takes alpha of each material of ``room``.
 
-        At positions, and for two states with a simulator, it is the case's simulator in the corrected
-        geometry, in which a new material has its surface's scattering coefficient. For means over
-        positions, it is the case's reverberation equation with the effects that were found.
+        If means over positions were compared, the result is the case's reverberation equation with the
+        effects that were found. Otherwise it is the case's simulator with the corrected geometry, in
+        which a new material has the scattering coefficient of the surface that it is on.
 
         Parameters
         ----------
         make : function, optional
-            Function that returns your own simulator for a room, for means over positions only: ``lambda
-            room: PathTracing(room=room, geometry=..., ...)``. rtcal calls it with a room that has the
-            input materials and the air, volume and areas of the finding. The absorption that was found
-            is then spread over all walls: each wall absorbs the same share of what it would reflect.
+            Function that returns your own simulator for a room: ``lambda room: PathTracing(room=room,
+            geometry=..., ...)``. It can be given only if means over positions were compared. rtcal
+            calls it with a room that has the input materials, and the air, volume and areas of the
+            finding. The absorption that was found is then spread over all walls: each wall absorbs the
+            same share of the energy that it would reflect.
 
         Raises
         ------
         DataError
-            If no surface is identified at positions, or if ``make`` is given for such a case; if the
-            simulator of ``make`` cannot represent an effect: a coupled room, a noise floor, a custom
+            If no surface is identified and means were not compared, or if ``make`` is given for such a
+            case; if your simulator cannot represent an effect: a coupled room, a noise floor, a custom
             effect on the decay, or an area or volume that differs from that of the simulator's
             geometry.
         """
@@ -158,10 +159,11 @@ class Corrected:
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the corrected room's files into a folder, all or none, and return their paths.
 
-        ``room.toml`` is the room and, if a surface is identified, ``room.obj`` is its mesh. For means
-        over positions, ``case.json`` is the case. At positions, ``catt.txt`` and ``odeon.txt`` are
-        lists of materials for CATT-Acoustic and ODEON. An octave of these lists that is not among the
-        room's bands has the coefficients of the room's nearest octave.
+        ``room.toml`` is the room and, if a surface is identified, ``room.obj`` is its mesh. If means
+        over positions were compared, ``case.json`` is the case with the effects. If every position was
+        compared, ``catt.txt`` and ``odeon.txt`` are lists of materials for CATT-Acoustic and ODEON. An
+        octave of these lists that the room does not have gets the coefficients of the room's nearest
+        band.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)
@@ -233,7 +235,7 @@ _DECAY, _NO_AIR, _TOO_MUCH = "decay not in a room", "air of no climate", "absorb
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CaseModel(RoomSimulator):
-    """Simulate a case's model with its effects; the rows of alpha are the materials of ``room``.
+    """Simulate a case's model with its effects, for given coefficients of the materials of ``room``.
 
     Attributes
     ----------
@@ -244,12 +246,13 @@ class CaseModel(RoomSimulator):
     stated : Room
         Room with the input materials alone.
     whole : RoomState
-        State of the model at the coefficients of ``room``.
+        Acoustic state of the model with the coefficients that ``room`` has.
     absent : mapping
         Reasons why a room cannot represent an effect, by the effect's name.
     inner : Simulator, optional
-        Simulator of ``stated``, over whose walls the added absorption is spread. If it is None, T20,
-        EDT, T30, C80 and G are those of the case's first configuration by the case's equation.
+        Simulator of ``stated``, over whose walls the absorption of the effects is spread. If it is
+        None, the reverberation equation gives T20, EDT, T30, C80 and G of the case's first
+        configuration.
     """
 
     case: Case
@@ -271,10 +274,11 @@ class CaseModel(RoomSimulator):
         return self.inner is None or self.inner.deterministic
 
     def state(self, alpha: Array) -> RoomState:
-        """Return the model's state at coefficients ``alpha`` (n_materials, n_bands) of ``room``.
+        """Return the acoustic state of the model with coefficients ``alpha`` (n_materials, n_bands).
 
-        If the materials of the effects absorb more or less than with the room's own coefficients, the
-        difference is added as a free-standing absorber, so that the shape of the decay does not change.
+        The materials are those of ``room``: the input materials, then one for each effect that absorbs.
+        A change of the absorption of the latter is added as a free-standing absorber, so that the shape
+        of the decay does not change.
         """
         equation = mean_equation(self.whole.equation)
 
@@ -683,7 +687,7 @@ def _in_geometry(
 
 
 def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
-    """Return the name of the surface at a point (x, y, z) in m.
+    """Return the name of the surface at a point ``at``, (x, y, z) in m.
 
     Raises DataError if the point is far from every surface.
     """
@@ -711,13 +715,23 @@ def point(at: Sequence[float]) -> Array:
 def changed_room(
     case: StatesCase, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
 ) -> Corrected:
-    """Return the room of the second of two states; see `rtcal.finder.Finding.apply`.
+    """Return the room after a change, from measurements before and after it.
 
-    The coefficients are those of a calibration to the first state plus the mean change, and their sigma
-    contains the uncertainty of both. ``area`` (n_bands,) is the absorption area of the first state in
-    m². ``change`` (3, n_bands) is the change of this area in m²: its mean, and the lower and upper end
-    of its 90 % interval. ``surfaces`` are the names of the surfaces that are identified, and ``kinds``
-    the kinds of effect that may have changed.
+    The coefficients are those of a calibration to T before the change, plus the mean change. Their
+    sigma contains the uncertainty of the change.
+
+    Parameters
+    ----------
+    case : StatesCase
+        Room and both measurements.
+    area : array (n_bands,)
+        Absorption area before the change, in m².
+    change : array (3, n_bands)
+        Change of the absorption area in m²: its mean, and the lower and upper end of its 90 % interval.
+    surfaces : sequence of str
+        Names of the surfaces that changed; empty if they are not identified.
+    kinds : sequence of str
+        Names of the effects that may be the change; two or more are noted.
     """
     labels = bands.labels(case.room.centre_frequencies)
     stated = case.room.replace(calibration=None)

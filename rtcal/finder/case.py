@@ -95,9 +95,9 @@ a hygrometer on a wall leave this much open in a room. The values are a judgemen
 
 
 def checked_climate_uncertainty(value: object) -> tuple[float, float]:
-    """Return the climate's standard uncertainties after a check: in K, and in % of relative humidity.
+    """Return standard uncertainties of temperature in K and of relative humidity in %, after a check.
 
-    Raises DataError unless ``value`` consists of these two numbers, each 0 or more.
+    Raises DataError unless ``value`` consists of two numbers, each 0 or more.
     """
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
@@ -119,10 +119,11 @@ class ConfigurationTable(FileTable):
     """Hold the table of one configuration in a case's file; see `Configuration`.
 
     ``measured`` is the name of a measurement's file, or the values as `Measurement.to_dict` returns
-    them, in the room's bands unless they name other bands. ``parameters`` and ``positions`` describe a
-    measurement that is only planned. ``simulated`` has the values of a simulation program, in the form
-    of ``measured``. ``at`` is the room, or its alpha (n_materials, n_bands), with which the program was
-    run; by default it is the case's room.
+    them, in the room's bands unless they have other bands. For a planned measurement, ``parameters``
+    are the names of the parameters and ``positions`` is the number of pairs. ``simulated`` has the
+    values of a simulation program, in the form of ``measured``. ``at`` has the coefficients that the
+    program used: the name of a room's file, or alpha (n_materials, n_bands); None means those of the
+    case's room.
     """
 
     name: str | None = None
@@ -184,7 +185,7 @@ class ChangedMaterial:
 class Configuration:
     """Hold one measurement of a room, and what was changed in the room for this measurement.
 
-    Examples are curtains that were closed, or chairs that were taken out. Raises DataError for a value
+    Examples of changes are closed curtains, or chairs that were taken out. Raises DataError for a value
     of the wrong kind; the message names the place and the value.
     """
 
@@ -253,9 +254,10 @@ class Configuration:
     ) -> Configuration:
         """Return the configuration that one table of a case's file describes.
 
-        File names in the table are relative to ``folder``. Measured values without an uncertainty get
-        the uncertainty ``stated``. Raises DataError as `Configuration` does, and for a table that has
-        neither a measurement nor a planned one.
+        File names in the ``table`` are relative to ``folder``. ``room`` is the case's room. Measured
+        values that have no uncertainty get the uncertainty ``stated``. Raises DataError as
+        `Configuration` does, and for a table that has neither measured values nor a planned
+        measurement.
         """
         where = f'configuration "{table.name}"'
         planned = table.planned or table.parameters is not None
@@ -344,10 +346,10 @@ class Configuration:
         }
 
     def in_room(self, room: Room) -> Configuration:
-        """Return the configuration with its measurement in the room's bands, as `calibrate` takes it.
+        """Return the configuration with its measurement converted to the bands of a room.
 
-        If the configuration has values of a simulation program, measured parameters that these values
-        lack are left out. Warns if bands are converted or left out. Raises DataError if the
+        If the configuration has values of a simulation program, parameters that the program did not
+        give are left out. Warns if bands are converted or left out. Raises DataError if the
         configuration does not fit the room, or if a measured value is physically impossible.
         """
         where = f'configuration "{self.name}"'
@@ -441,9 +443,9 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
 class Case:
     """Describe a room, its reverberation equation and the configurations in which it was measured.
 
-    Measured and predicted means over positions are compared. For a comparison at each position see
-    `PositionsCase`, for two states of a room `StatesCase`. Raises DataError if a value breaks a rule;
-    the message names the place, the value and the rule.
+    rtcal compares means over positions with this case. To compare every position see `PositionsCase`;
+    to compare measurements before and after a change of the room see `StatesCase`. Raises DataError if
+    a value breaks a rule; the message names the place, the value and the rule.
     """
 
     kind: ClassVar[str] = "means"
@@ -508,18 +510,19 @@ class Case:
 
     @cached_property
     def directions_known(self) -> bool:
-        """Whether the directions that the room's surfaces face are known for most of its absorption.
+        """Whether it is known in which direction the surfaces face that absorb most in this room.
 
-        Without these directions, effects that depend on them are not tried (`Effect.needs_directions`).
+        If it is not known, effects that depend on these directions are not tried.
         """
         return enough_known(self.room, self.facing)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Case:
-        """Return the case that a mapping describes, in the form of `to_dict`; see `rtcal.finder.case`.
+        """Return the case that a mapping describes, in the form of `to_dict`.
 
-        Names of files in ``data`` are relative to ``folder``. Raises DataError for an unknown key, for
-        a value of the wrong kind, and as `Case` does.
+        ``data`` has the keys of a case's file, which `rtcal.finder.case` lists. Names of files in
+        ``data`` are relative to ``folder``. Raises DataError for an unknown key, for a value of the
+        wrong kind, and as `Case` does.
         """
         table, folder = _table(data), Path(folder)
         if isinstance(table.room, str):
@@ -689,9 +692,10 @@ def files_of_case(path: str) -> list[Path]:
 class PositionsCase:
     """Describe a room by its simulator, and the measurement at each source-receiver pair.
 
-    Raises DataError if the measurement is a mean over pairs, if ``simulated`` has none of the measured
-    parameters, if the room was already calibrated to this measurement, if a pair in ``exclude`` was not
-    measured, or if a surface, parameter or number breaks its rule.
+    Raises DataError if the measurement is a mean over pairs; if the other program's values
+    ``simulated`` have none of the measured parameters; if the room was already calibrated to this
+    measurement; if a pair in ``exclude`` was not measured; or if a surface, parameter or number breaks
+    its rule.
     """
 
     kind: ClassVar[str] = "positions"
@@ -869,12 +873,13 @@ _LEAST = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StatesCase:
-    """Compare two measurements of a room, at the same positions, before and after it changed.
+    """Hold two measurements of a room at the same positions, before and after the room changed.
 
-    Both must be made with the same equipment. They are compared with each other, so that the input
-    coefficients do not count: the measurement before calibrates the model. Raises DataError if the two
-    measurements share no pair, or no T20 or T30 in a band of the room; if the simulator is of another
-    room or lacks a measured pair; or for an uncertainty of the climate if the room has no air.
+    Both measurements must be made with the same equipment. The room's input coefficients are not used,
+    because the model is calibrated to the measurement before the change. Raises DataError if the
+    measurements have no pair in common, or no T20 or T30 in a band of the room; if the simulator is of
+    another room or does not have a measured pair; or if ``climate_uncertainty`` is given for a room
+    without air.
 
     Examples
     --------
@@ -1030,8 +1035,8 @@ class StatesCase:
     def falls(self) -> bool:
         """Whether T is shorter after the change than before it, on average over bands and pairs.
 
-        The average is the mean of ``change``, in which more certain values count more. If this mean is
-        0, the first T that changed decides.
+        The average is the mean of ``change`` = ln(T after / T before), weighted by 1 / ``variance``. If
+        this mean is 0, the first value of ``change`` that is not 0 decides.
         """
         mean = np.nansum(self.change / self.variance)
         if mean == 0 and not self.same:
@@ -1058,7 +1063,7 @@ def case_of(
     program: str = "",
     **stated: Any,
 ) -> AnyCase:
-    """Return a room and its measurement as a case; the type of the case depends on the data given.
+    """Return a room and its measurement as a case, whose type depends on the arguments.
 
     With a measurement ``before``, it is a `StatesCase`. With a measurement of each source-receiver
     pair, and a simulator or a room that has its mesh, sources and receivers, it is a `PositionsCase`.
@@ -1088,8 +1093,9 @@ def case_of(
     Raises
     ------
     DataError
-        For a simulator of another room, for ``tracing`` if no path tracing is made, for an argument
-        that this type of case does not have; and as `geometry_files.path_tracing` and the cases do.
+        If the simulator is of another room; if ``tracing`` is given but no path is traced; for an
+        argument that this type of case does not have; and as `geometry_files.path_tracing` and the
+        cases do.
 
     Examples
     --------

@@ -60,11 +60,11 @@ def over_frequency(values: Array) -> str:
 
 
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
-    """Return the probability after the measurement of each effect, "none" and the other explanations.
+    """Return the probability of each explanation after the measurement, the most probable first.
 
-    ``evidence`` has the ln Bayes factor of each explanation. Each result is proportional to the Bayes
-    factor times the probability before the measurement, raised to the power `Prior.sharpness`. The
-    results sum to 1.
+    Explanations are effects, "none", "coefficients" and "unknown". ``evidence`` has the ln Bayes factor
+    of each, and ``prior`` its probability before the measurement. The Bayes factor times this
+    probability, raised to the power `Prior.sharpness`, is scaled so that the results sum to 1.
     """
     log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))
@@ -76,8 +76,9 @@ def by_family(
 ) -> dict[str, float]:
     """Return the probability of each group of effects, the most probable first.
 
-    ``probabilities`` are those of the single effects. "none", "coefficients" and "unknown" are groups
-    by themselves. "added absorption" is the sum of all groups whose names begin with these words.
+    ``probabilities`` are those of single effects, by name, and ``effects`` the effects with these
+    names. "none", "coefficients" and "unknown" are groups by themselves. "added absorption" is the sum
+    of all groups whose names begin with these words.
     """
     return with_added(summed((family_of(name, effects), p) for name, p in probabilities.items()))
 
@@ -133,10 +134,10 @@ def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
-    """Return the most specific group of effects with a probability of at least ``least``.
+    """Return the most specific group of effects whose probability is at least ``least``, or None.
 
-    "added absorption, rising" is more specific than "added absorption". The result is None if no group
-    is as probable.
+    ``families`` are the probabilities of the groups, by name. "added absorption, rising" is more
+    specific than "added absorption". The group "none" does not count.
     """
     probable = [f for f, p in families.items() if p >= least and f != NONE]
     return max(probable, key=lambda family: family.count(",")) if probable else None
@@ -146,8 +147,8 @@ def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
 class Reason:
     """Hold a reason, caution or advice as a code with its values; ``str`` returns it as a sentence.
 
-    ``values`` are the numbers, names and sizes in the sentence. `rtcal.report.finding_words` has the
-    sentence of each code.
+    ``values`` are the numbers and names that are inserted in the sentence. `rtcal.report.finding_words`
+    has the sentence of each ``code``.
     """
 
     code: str
@@ -204,16 +205,22 @@ def conclude(
     reasons: Sequence[Reason] = (),
     weak: Reason | None = None,
 ) -> Claim:
-    """Return what is identified, by rules that are the same for every kind of data.
+    """Return the verdict of a search, the effect or group that is identified, and the reasons.
 
-    ``detected`` is the verdict "none" or "hint" if nothing is detected, and None if something is.
-    ``probabilities`` of effects, and those of groups in ``families``, have the most probable first.
-    ``by_family_alone`` are effects of which only the group can be identified (`Effect.alone`).
-    ``reasons`` are doubts about the most probable effect, and `LEAVES` has the verdict that each doubt
-    leaves. ``weak`` is the reason why the data are too weak (`too_weak`): the verdict is then a hint,
-    unless an effect or a group is identified. If this reason is that the difference may be a
-    geometrical program's own error (`of_program`), nothing is identified. None means that the data are
-    not too weak.
+    Parameters
+    ----------
+    detected : str or None
+        None if a difference from the model is detected; otherwise the verdict, "none" or "hint".
+    probabilities, families : mapping of str to float
+        Probabilities of effects and of groups of effects, by name, the most probable first.
+    by_family_alone : collection of str
+        Names of effects that cannot be identified, only their group (`Effect.alone`).
+    reasons : sequence of Reason
+        Doubts about the most probable effect; `LEAVES` has the verdict that is possible with each.
+    weak : Reason, optional
+        Reason why the data are too weak (`too_weak`), or why the difference may be a program's own
+        error (`of_program`). With the first, the verdict is "hint" unless an effect or a group is
+        identified. With the second, nothing is identified.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):
@@ -256,13 +263,12 @@ FIELD = "field"
 
 
 def of_program(families: Mapping[str, float]) -> Reason | None:
-    """Return the reason why a geometrical program's own error may be the difference, or None.
+    """Return the reason why a difference may be a geometrical program's own error, or None.
 
-    A geometrical program uses the scattering coefficients that you enter, and simulates a second room
-    if you drew it. A difference that only its sound field explains is therefore not an error of the
-    room's model, and counts as nothing missing. A difference that no effect explains counts as nothing
-    missing, too: in uneven sound fields, two programs differ by more than the reference simulations
-    show (benchmarks/studies/runs).
+    ``families`` are the probabilities of groups of effects, by name. There is a reason if "field" (an
+    uneven sound field or a second room) and "unknown" are probable, and with "none" leave little for
+    other groups. A geometrical program simulates such a sound field itself, and in uneven fields two
+    programs differ by more than the reference simulations show (benchmarks/studies/runs).
 
     Examples
     --------
@@ -313,9 +319,8 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
 class Size:
     """Hold the size of an effect: its mean, and the ends ``low`` and ``high`` of its 90 % interval.
 
-    All three are in ``unit``. ``end`` is "least" if the data allow any size above ``low``, "most" if
-    they allow any size below ``high``, and "" otherwise. With "least" or "most", the largest or
-    smallest size that was tried fits nearly as well as the best size.
+    Mean and ends are in ``unit``. ``end`` is "least" if the data allow any size above ``low``, "most"
+    if they allow any size below ``high``, and "" otherwise.
     """
 
     mean: float
@@ -438,8 +443,8 @@ class Candidate:
 class Detection:
     """Hold the score by which a difference from the model is detected, and the score's threshold.
 
-    The score is a ln Bayes factor: how much more probable the data are if something differs. Raises
-    ModelError for a score that is not a finite number.
+    The score is a ln Bayes factor: how much more probable the data are if the room differs from the
+    model than if it does not. Raises ModelError for a score that is not a finite number.
     """
 
     score: float

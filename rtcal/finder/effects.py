@@ -69,9 +69,8 @@ class Parameter:
 class Effect(ABC):
     """Describe something that may be missing from a room's model, such as an opening or a curtain.
 
-    An effect has parameters, such as an area; a method `change`, which adds it to the acoustic state of
-    a room; words for a report; and a form in the corrected room. For an effect of your own, write a
-    subclass.
+    An effect has parameters, such as an area, and a method `change` that adds it to the acoustic state
+    of a room. For an effect of your own, write a subclass.
     """
 
     name: ClassVar[str]
@@ -163,19 +162,20 @@ class Effect(ABC):
         return []
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the probability density of parameter values before the measurement, up to a factor.
+        """Return the prior probability density of n combinations of parameter values, up to a factor.
 
-        Each parameter has n values, (n,), and the result has one density for each of the n
-        combinations. By default the density is 1. For a parameter that is always above 0 it is a
-        density of the parameter's logarithm, for a discrete parameter a probability.
+        ``parameters`` has n values of each parameter, by name, and ``state`` is the room without the
+        effect. The result is (n,), or a number that all have in common; by default 1. For a parameter
+        that is always above 0 it is a density of the parameter's logarithm, for a discrete parameter a
+        probability.
         """
         return 1.0
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the physical limits of each parameter in a room; for None, those in any room.
+        """Return the lowest and highest possible value of each parameter in a room, by name.
 
-        The size of an effect is searched within its limits, and a case raises an error for parameters
-        outside their limits. A parameter without limits may have any value.
+        If ``room`` is None, these are the limits in any room. The size of an effect is searched within
+        its limits. A parameter that is not in the result may have any value.
         """
         return {name: of.within for name, of in self.parameters.items()}
 
@@ -184,9 +184,10 @@ class Effect(ABC):
         return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
-        """Return the effect's odds before the measurement in this room, relative to the other effects.
+        """Return how probable this effect is before the measurement, relative to a usual effect.
 
-        By default the result is `odds`, which is 1 for most effects of the library.
+        A usual effect of the library has 1; an effect with 0.5 is half as probable. By default the
+        result is `odds`, whatever the ``room``.
         """
         return self.odds
 
@@ -218,11 +219,11 @@ class Effect(ABC):
         return stated
 
     def errors_over_bands(self, frequencies: Array) -> Array:
-        """Return independent relative errors of the effect's change, as standard deviations by band.
+        """Return the relative errors of the change that the effect causes, (n_bands, 2 + n_bands).
 
-        The shape is (n_bands, 2 + n_bands). The first column is an error common to all bands, the
-        second an error that grows with frequency. The other columns are errors of single bands,
-        correlated between neighbouring bands.
+        Each column is one standard deviation of an independent error: an error common to all bands, an
+        error that grows with frequency, and n_bands errors that neighbouring bands share in part.
+        ``frequencies`` (n_bands,) are in Hz.
         """
         common, tilt, rough = self.spectrum_error
         octaves = np.log2(frequencies / 1000)
@@ -241,12 +242,12 @@ class Effect(ABC):
 
 
 class AbsorbingObject(Effect):
-    """Describe missing objects whose absorption is proportional to their size, such as people.
+    """Describe missing objects whose absorption is proportional to their number, such as people.
 
     The objects can be taken out of the room again. A size of 1 has the absorption area ``each`` in m²
-    at the octaves from 63 Hz to 8 kHz, and ``of_one`` in m² as a mean from 500 to 2000 Hz. The sizes
-    that are tried absorb ``least`` to ``most`` times the room's absorption area from 500 to 2000 Hz.
-    Because objects need no wall, their size has no upper limit.
+    at the octaves from 63 Hz to 8 kHz, and ``of_one`` in m² as a mean from 500 to 2000 Hz. The largest
+    of the ``steps`` sizes that are tried absorbs ``most`` times as much as the room, the smallest
+    ``least`` times as much.
     """
 
     removable: ClassVar[bool] = True
@@ -335,7 +336,7 @@ class Absorber(AbsorbingObject):
 def all_surfaces(room: Room | None) -> float:
     """Return the area of all surfaces of a room in m².
 
-    If ``room`` is None, the result is the largest area that any room may have.
+    If ``room`` is None, the result is the largest area that rtcal allows for any room.
     """
     return LARGEST if room is None else room.total_area
 
@@ -407,9 +408,10 @@ _IMPEDANCE_OF_AIR = 413.0
 class Curtain(Absorber):
     """Describe a missing curtain by flow resistance, mass and airspace (Ingard 1994; Kuttruff 2016).
 
-    The impedance of the fabric is its flow resistance r in parallel with its mass i omega m. Behind it
-    is the impedance -i cot(k d cos theta) of plane waves in an airspace of depth d. If d is large, the
-    mean over a band is that of a curtain that hangs free in the room and absorbs on both sides.
+    The impedance of the fabric is its flow resistance r in parallel with i omega m, where m is its mass
+    per area. Behind the fabric is the impedance -i cot(k d cos theta) of plane waves in an airspace of
+    depth d. If d is large, the mean over a band is that of a curtain that hangs free in the room and
+    absorbs on both sides.
     """
 
     name: ClassVar[str] = "curtain"
@@ -653,7 +655,7 @@ class WrongVolume(WrongStatement):
     """Describe a wrong input volume, by the ratio of the true volume to the input volume.
 
     Small errors have the standard deviation of the input volume (`RoomState.volume_sigma`). Larger
-    errors are gross mistakes, each by a typical factor: half of the room was not drawn, a length is
+    errors are gross mistakes. Each has a typical ratio: half of the room was not drawn, a length is
     wrong, or feet were taken for metres.
     """
 
@@ -884,10 +886,10 @@ class OmittedAir(Effect):
         return out
 
     def prior_odds(self, room: Room) -> float:
-        """Return the odds before the measurement: 3 if the input has no climate, 0.3 if it has one.
+        """Return how probable a wrong climate is before the measurement, relative to a usual effect.
 
-        The odds are high without a climate because every room has air. The usual uncertainty of an
-        input climate is `Case.climate_uncertainty`, and is allowed for with every effect.
+        The result is 3 if the room has no climate, because every room has air, and 0.3 if it has one.
+        The usual uncertainty of a given climate is not this effect: it is `Case.climate_uncertainty`.
         """
         return 3.0 if room.air is None else 0.3
 
@@ -980,8 +982,9 @@ class CoupledRoom(Effect):
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the combinations of aperture, volume and alpha of the second room that are tried.
 
-        The aperture is 0.05 to 1.2 times the first room's absorption area, the second room's volume 0.2
-        to 3 times the first room's, and its alpha 0.02 to 0.3.
+        The aperture is 0.05 to 1.2 times the absorption area of the first room, whose acoustic
+        ``state`` is given. The second room's volume is 0.2 to 3 times that of the first room, and its
+        alpha 0.02 to 0.3.
         """
         area = middle_absorption(state)
         return [
@@ -1005,9 +1008,9 @@ class CoupledDecay:
     """Describe the decay of a room with a second room behind an aperture (Kuttruff 2016, Sect. 5.8).
 
     The second room has a ``volume`` V2 in m³, a mean absorption coefficient ``alpha``, and the surface
-    area of a cube. The ``aperture`` S is in m². With energy densities E1 and E2 and absorption areas A1
-    and A2 of the two rooms, V1 dE1/dt = -(c/4) (A1 + S) E1 + (c/4) S E2, and the same with 1 and 2
-    exchanged (Cremer & Mueller 1982).
+    area of a cube. The ``aperture`` S is in m². E1 and E2 are the energy densities in the rooms, A1 and
+    A2 their absorption areas. Then V1 dE1/dt = -(c/4) (A1 + S) E1 + (c/4) S E2, and the same with 1 and
+    2 exchanged (Cremer & Mueller 1982).
     """
 
     aperture: float
@@ -1076,7 +1079,7 @@ def library() -> tuple[Effect, ...]:
 
 
 def checked_effects(effects: object | None) -> tuple[Effect, ...]:
-    """Return effects as a tuple, after a check; for None, all effects of the library.
+    """Return effects as a tuple, after a check; if ``effects`` is None, all effects of the library.
 
     Raises DataError if an effect is incomplete, or if two effects have the same name.
     """
@@ -1134,9 +1137,9 @@ def judged_effects(
 ) -> tuple[tuple[Effect, ...], dict[str, str]]:
     """Return the effects that can be tried, and the reasons why others cannot, by the effect's name.
 
-    ``directions_known`` is whether the directions of the room's surfaces are known. ``geometrical`` is
-    True if the model is a run of a geometrical program, which already includes some effects. Raises
-    DataError if no effect is left.
+    ``directions_known`` is True if it is known in which direction the room's surfaces face.
+    ``geometrical`` is True if a geometrical program simulated the model, which already includes some
+    effects. Raises DataError if no effect is left.
     """
     lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
     lacking |= {e.name: IN_RUN for e in effects if e.in_geometry and geometrical}
@@ -1157,9 +1160,10 @@ def checked_grid(
 ) -> Sequence[Parameters]:
     """Return the combinations of parameters that an effect tries in a room, after a check.
 
-    There must be at least one combination, and each must have the same parameters, all of them finite
-    numbers, one of them the size. Combinations outside the room's limits (`Effect.limits`) are left
-    out, unless all are outside. Raises DataError for a broken rule.
+    Each combination must have the same parameters with finite values, among them the size. Combinations
+    outside the limits in this room (`Effect.limits`) are left out, unless all are outside. ``state`` is
+    the acoustic state of the room without the effect. If ``room`` is None, the limits are those in any
+    room. Raises DataError for a broken rule.
     """
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
@@ -1189,11 +1193,12 @@ def checked_grid(
 def beyond(
     effect: Effect, grid: Sequence[Parameters], likeliest: Parameters, room: Room
 ) -> list[Parameters]:
-    """Return the parameters to try, with further sizes if the largest or smallest size fits best.
+    """Return the combinations of parameters to try, with more sizes if an extreme size fits best.
 
-    ``grid`` are the parameters tried so far, and ``likeliest`` those that fit best. If they have the
-    largest or smallest size, `_MORE` further sizes in the same steps are added beyond it, up to the
-    limits of the room. None are added at the end where the effect changes nothing.
+    ``grid`` are the combinations tried so far, and ``likeliest`` is the one that fits best. If its size
+    is the largest or smallest in ``grid``, combinations with up to `_MORE` sizes beyond it are added,
+    within the limits of the ``room``. No size is added towards the size with which the effect changes
+    nothing.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])
@@ -1224,8 +1229,8 @@ def check_parameters(
 ) -> None:
     """Raise DataError for parameters that are missing or outside the effect's `Effect.limits`.
 
-    If ``room`` is None, the limits are those of any room. ``interval`` has the ends of the 90 %
-    interval of the size, which must be within the limits, too.
+    ``interval`` has both ends of the 90 % interval of the size, which must be within the limits, too.
+    If ``room`` is None, the limits are those in any room.
     """
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
     for name, (least, most) in limits.items():
@@ -1339,10 +1344,10 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """Hold an effect that was added to the model, with its parameters and its size's 90 % interval.
+    """Hold an effect that was added to a model, with its parameters and the 90 % interval of its size.
 
-    Raises DataError if the library has no effect of this name, or if a parameter is missing or outside
-    the effect's `Effect.limits`.
+    Raises DataError if ``effect`` is a name that the library does not have, or if a parameter is
+    missing or outside the effect's `Effect.limits`.
     """
 
     effect: Any

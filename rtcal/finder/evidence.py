@@ -44,10 +44,10 @@ def with_columns(
 ) -> tuple[Array, Array]:
     """Return r' (C + U U')⁻¹ r and ln sqrt|C + U U'| from products with C⁻¹ (Woodbury's identity).
 
-    C is a covariance of m residuals r, and U are further errors, (m, n_columns). ``square`` (..., m) is
-    r' C⁻¹ r, and ``half`` (..., 1) is ln sqrt|C|. ``across`` (..., n_columns, m) is U' C⁻¹ r, and
-    ``inner`` (..., n_columns, n_columns) is U' C⁻¹ U. The results have the shapes of ``square`` and
-    ``half``.
+    C is a covariance of m values, r are m vectors of residuals, and U (m, n_columns) are further
+    errors. ``square`` (..., m) is r' C⁻¹ r, and ``half`` (..., 1) is ln sqrt|C|. ``across`` (...,
+    n_columns, m) is U' C⁻¹ r, and ``inner`` (..., n_columns, n_columns) is U' C⁻¹ U. The results have
+    the shapes of ``square`` and ``half``.
     """
     factor = np.asarray(np.linalg.cholesky(inner + np.eye(inner.shape[-1])), dtype=float)
     whitened = np.array(across.swapaxes(-2, -1), order="C")
@@ -78,10 +78,10 @@ development rooms of both worlds."""
 
 
 def student(square: Array, half: Array | float, n: int, *, coarsened: bool = True) -> Array:
-    """Return the log density of n values, by Student's t distribution with the covariance C.
+    """Return the log density of ``n`` values by Student's t distribution with a covariance C.
 
-    ``square`` is r' C⁻¹ r of the residuals r, and ``half`` is ln sqrt|C|. If ``coarsened``, the density
-    is raised to the power that `COARSENING` gives.
+    ``square`` is r' C⁻¹ r of the residuals r, and ``half`` is ln sqrt|C|. If ``coarsened`` is True, the
+    density is raised to the power `COARSENING` / (`COARSENING` + n), because no model is exact.
     """
     power = COARSENING / (COARSENING + n) if coarsened and np.isfinite(COARSENING) else 1.0
     if np.isinf(DEGREES):
@@ -93,10 +93,10 @@ def student(square: Array, half: Array | float, n: int, *, coarsened: bool = Tru
 
 
 def bounded(square: Array, half: Array | float, n: int) -> Array:
-    """Return the log density of n values up to a constant, bounded for large residuals.
+    """Return the log density of ``n`` values, up to a constant, that falls slowly for large residuals.
 
-    ``square`` is r' C⁻¹ r of the residuals r, and ``half`` is ln sqrt|C| of their covariance C. The
-    density is normal if ``square`` is at most n. Above n, C is scaled by ``square`` / n, because a few
+    ``square`` is r' C⁻¹ r of the residuals r with the covariance C, and ``half`` is ln sqrt|C|. The
+    density is normal if ``square`` is at most n. Above n, C is scaled by ``square`` / n, because few
     reference simulations do not determine well how large the errors are.
     """
     beyond = n / 2 * (1 + np.log(np.maximum(square / n, 1.0)))
@@ -104,9 +104,9 @@ def bounded(square: Array, half: Array | float, n: int) -> Array:
 
 
 def log_mixture(one: Array, other: Array, share: float) -> Array:
-    """Return the log density of a mixture: ``other`` with the probability ``share``, else ``one``.
+    """Return the log density of a mixture: (1 - share) times one density plus share times the other.
 
-    ``one`` and ``other`` are log densities of the same data, in arrays of the same shape.
+    ``one`` and ``other`` are the log densities of the same data, in arrays of the same shape.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
@@ -115,13 +115,12 @@ def log_mixture(one: Array, other: Array, share: float) -> Array:
 def leading_products(
     covariance: Array, rows: Array, first: int, ends: Sequence[int]
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Yield ln sqrt|C| and products x C⁻¹ y' of rows x and y, for leading parts of covariances C.
+    """Yield ln sqrt|C| and products x C⁻¹ y' of rows x and y, for the leading parts of n matrices C.
 
-    ``covariance`` (n, m, m) are the covariances, ``rows`` (n, d, m) the rows, and ``ends`` the rising
-    sizes of the leading parts. The parts share one Cholesky factor, so that all of them cost little
-    more than the largest. The products are the squares of the ``first`` rows (n, first), those of the
-    other rows with the first ones (n, d - first, first), and those of the others with one another. Both
-    arrays are overwritten. Raises LinAlgError if a covariance is not positive definite.
+    ``covariance`` (n, m, m) are the matrices, ``rows`` (n, d, m) the rows, and ``ends`` the rising
+    sizes of the leading parts. The products are, in this order: each of the ``first`` rows with itself,
+    (n, first); the other rows with these; and the other rows with one another. ``covariance`` and
+    ``rows`` are overwritten. Raises LinAlgError if a matrix is not positive definite.
     """
     # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
     for i, matrix in enumerate(covariance):
@@ -164,11 +163,11 @@ classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 @dataclass(frozen=True)
 class Prior:
-    """Hold the log probabilities before the measurement of "none", "unknown" and each effect.
+    """Hold the probabilities of all explanations before the measurement, as logarithms.
 
-    The probabilities sum to 1. ``off`` is the probability that the input coefficients have a common
-    error. ``sharpness`` is the power to which the probabilities after the measurement are raised
-    (`rtcal.finder.evidence.sharpness`).
+    ``log_probability`` has "none", "coefficients", "unknown" and each effect, by name; the
+    probabilities sum to 1. ``off`` is the probability that all input coefficients have an error in
+    common. ``sharpness`` is the power to which probabilities after the measurement are raised.
     """
 
     log_probability: Mapping[str, float]
@@ -177,17 +176,17 @@ class Prior:
 
 
 def relative_sigma(room: Room) -> float:
-    """Return how large the sigma of the input coefficients is relative to that of handbook values.
+    """Return the relative uncertainty of a room's coefficients over that of handbook values, at most 1.
 
-    The result is at most 1. It is the ratio of sigma to alpha, each summed over bands and weighted by
-    area, divided by `HANDBOOK_SIGMA`.
+    It is the sum of sigma over that of alpha, over all bands and weighted by area, divided by
+    `HANDBOOK_SIGMA`.
     """
     stated = float((room.areas @ room.sigma).sum() / max((room.areas @ room.alpha).sum(), 1e-12))
     return min(1.0, stated / HANDBOOK_SIGMA)
 
 
 def probability_off(room: Room) -> float:
-    """Return the probability before the measurement of a common error of the input coefficients.
+    """Return the prior probability that all input coefficients of a room have an error in common.
 
     It is `OFF_TOGETHER` times the square of `relative_sigma`: coefficients with a small sigma were
     measured, so that a large common error is improbable.
@@ -201,11 +200,12 @@ def sharpness(room: Room) -> float:
 
 
 def log_priors(odds: ArrayLike, off: float, no_effect: float = NO_EFFECT) -> Array:
-    """Return log prior probabilities (2 + n,), whose probabilities sum to 1, for any kind of data.
+    """Return the log prior probabilities (2 + n,) of no effect and of each of n effects.
 
-    The first two are those of a model from which nothing is missing: with the input coefficients, and
-    with coefficients that have a common error, whose probability is ``off``. The others are those of n
-    effects with the prior ``odds`` (n,). ``no_effect`` is the probability that nothing is missing.
+    The first is that of no effect with the input coefficients as they are. The second is that of no
+    effect with an error that all coefficients have in common, whose probability is ``off``. ``odds``
+    (n,) are proportional to the probabilities of the effects, and ``no_effect`` is the probability that
+    nothing is missing. The probabilities sum to 1.
     """
     of_effects = (1 - no_effect) * np.asarray(odds) / np.sum(odds)
     with np.errstate(divide="ignore"):
@@ -236,10 +236,11 @@ def left_out_of(
     possible: Sequence[str],
     in_any_case: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Return the names that are not tried: those in ``without``; if ``only`` is given, all others.
+    """Return the names that are not tried, sorted, from the options ``only`` and ``without``.
 
-    ``possible`` are all names. The names ``in_any_case`` are tried in addition to those in ``only``.
-    Raises DataError for a name that is not in ``possible``, and if nothing is left to try.
+    ``possible`` are all names. Names in ``without`` are not tried. If ``only`` has names, no others are
+    tried, except those ``in_any_case``. Raises DataError for a name that is not in ``possible``, and if
+    nothing is left to try.
     """
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
@@ -257,12 +258,12 @@ NONE_LEFT = "only and without leave no effect to try"
 
 
 def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -> Array:
-    """Return the prior probability of each set of parameters, given the effect, (n,); the sum is 1.
+    """Return the prior probabilities of n sets of an effect's parameters, (n,), whose sum is 1.
 
-    It is the effect's density times the width of the set's cell in the grid: half of the distance
-    between the neighbours on both sides, on a logarithmic scale for a parameter above 0. In a grid
-    twice as fine each set has half of the probability, so that the effect's evidence does not depend on
-    the grid.
+    The probability of a set is the effect's density times the width of the set's cell in the ``grid``.
+    The cell reaches half of the way to the neighbours on both sides, on a logarithmic scale for a
+    parameter above 0. A finer grid therefore gives the effect the same probability. ``state`` is the
+    acoustic state of the room without the effect.
     """
     values = columns(grid)
     weights = np.ones(len(grid)) * effect.density(values, state)
@@ -295,14 +296,14 @@ SCALES = ((2.0, 0.6), (4.0, 0.4))
 
 @lru_cache(maxsize=4)
 def directions(case: Case, power: float = POWER) -> Array:
-    """Return the changes of alpha that common errors of a case's coefficients cause.
+    """Return the changes of alpha by each error that the coefficients of a case have in common.
 
-    The shape is (n_configurations, n_directions, n_materials, n_bands), and each change is one standard
-    deviation. The first two directions are a factor and a tilt over frequency of all materials
-    together. Then follow each material's own factor, and each material's own tilt, which are 0 where a
-    configuration changed the material. If the relative sigma of the coefficients is below a handbook's,
-    the changes decrease with this ratio to the ``power``. The input uncertainties of volume and areas,
-    and of tables of coefficients, are added.
+    A change is one standard deviation. The shape is (n_configurations, n_directions, n_materials,
+    n_bands). The first two directions are a factor and a tilt over frequency of all materials together.
+    Then follow each material's own factor, and each material's own tilt, which are 0 in a configuration
+    that changed the material. If the relative sigma of the coefficients is below a handbook's, the
+    changes decrease with this ratio to the ``power``. Factors contain the uncertainties of volume,
+    areas and tables of coefficients.
     """
     return read_only_view(np.array([_directions(case.room, c, power) for c in case.configurations]))
 
@@ -324,9 +325,9 @@ def _directions(room: Room, c: Configuration | None = None, power: float = POWER
 def by_direction(changes: Array, slopes: Array) -> Array:
     """Return the decrease of ln T20 by each common error of alpha, (n, n_values, n_directions).
 
-    ``changes`` are the common errors, from `directions`. ``slopes`` (n, n_configurations, n_materials,
-    n_bands) are -d ln T20 / d alpha in n states. The n_values are all bands of the first configuration,
-    then those of the next.
+    ``changes`` of alpha are those that `directions` returns. ``slopes`` (n, n_configurations,
+    n_materials, n_bands) are -d ln T20 / d alpha in n states of the room. The n_values are all bands of
+    the first configuration, then those of the next.
     """
     n, count, materials, n_bands = slopes.shape
     of_own = changes[:, 2:].reshape(count, 2, materials, materials, n_bands)
@@ -362,12 +363,12 @@ def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Ge
 
 @dataclass(frozen=True, eq=False)
 class OffTogether:
-    """Hold the common error of the input coefficients, as it follows from the measurement.
+    """Hold the error that all input coefficients have in common, as estimated from the measurement.
 
-    ``probability`` is that of a common error, given the effect that is identified in addition.
-    ``factor`` (n_materials, n_bands) is the mean ratio of true to input coefficients, and ``spread``
-    the standard deviation of the ratio's logarithm. ``ratio`` (n_bands,) is the room's true absorption
-    area over its input absorption area.
+    ``probability`` is that of such an error, given the effects that are identified. ``factor``
+    (n_materials, n_bands) is the mean ratio of true to input coefficients, and ``spread`` the standard
+    deviation of the ratio's logarithm. ``ratio`` (n_bands,) is the room's true absorption area over its
+    input absorption area.
     """
 
     probability: float
@@ -399,11 +400,12 @@ class OffTogether:
 def off_together(
     case: Case, changes: Array, residual: Array, covariance: Array, probability: float
 ) -> OffTogether:
-    """Return the common error of the coefficients after the measurement, given its ``probability``.
+    """Return the error that all coefficients of a case have in common, estimated from the measurement.
 
-    ``changes`` (n_used, n_directions) are the changes of the measured features by each common error
-    (`by_direction`). ``residual`` (n_used,) is measured minus predicted with the input coefficients.
-    ``covariance`` (n_used, n_used) is that of the residual, including the usual common error.
+    ``changes`` (n_used, n_directions) are the changes of the measured features (ln T20, C80 and others)
+    by each common error, one standard deviation each. ``residual`` (n_used,) is measured minus
+    predicted with the input coefficients, and ``covariance`` (n_used, n_used) that of the residual.
+    ``probability`` is kept in the result.
     """
     f = changes
     weights, means, variances = [], [], []
