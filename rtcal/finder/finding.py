@@ -74,12 +74,12 @@ class Finding(Result):
 
     Notes
     -----
-    The data are means over positions, values at every position, or two states of the room. If you
-    exchange the two states, "added" and "removed" are exchanged, every change has the other sign, and
-    the finding is otherwise the same. For two states, ``score`` is the ln Bayes factor: the natural
-    logarithm of how many times more probable the measurements are if something changed than if nothing
-    changed. If nothing changed and the noise is as assumed, the mean Bayes factor is 1, so that the
-    score exceeds the threshold ln 20 in at most one of twenty cases (Markov's inequality).
+    The data are means over positions, values at every position, or measurements before and after a
+    change of the room. For the latter, ``score`` is a ln Bayes factor: the natural logarithm of how
+    many times more probable the measurements are if something changed than if nothing changed. If
+    nothing changed and the noise is as assumed, the mean Bayes factor is 1, so that the score exceeds
+    the threshold ln 20 in at most one of twenty cases (Markov's inequality). If you exchange the two
+    measurements, "added" and "removed" are exchanged and every change has the other sign.
     """
 
     record_kind: ClassVar[str] = "finding 6"
@@ -317,7 +317,7 @@ class Finding(Result):
     def likely_surfaces(self) -> Names:
         """Names of the most probable surfaces, whose probabilities together reach `LIKELY`.
 
-        Empty if the probability that anything on a surface is missing is below `SAID`.
+        Empty if it is improbable (below `SAID`) that the missing object is on a surface.
         """
         if sum(c.probability for c in self.candidates if c.surface is not None) < SAID:
             return ()
@@ -328,8 +328,8 @@ class Finding(Result):
     def likeliest(self) -> Candidate | None:
         """Most probable candidate that is an effect of the library, which `apply` adds; or None.
 
-        If the verdict at positions is "unknown", the candidate's surface or its group must have at
-        least half of the probability that does not belong to "unknown".
+        If positions were compared and the verdict is "unknown", there is such a candidate only if its
+        surface or its group has at least half of the probability of all known effects.
         """
         known = [c for c in self.candidates if c.effect != UNKNOWN] if self.best else []
         if not known or self.verdict != UNKNOWN:
@@ -356,9 +356,9 @@ class Finding(Result):
     def can_be_added(self) -> bool:
         """Whether `apply` can add the effect that was found to the model.
 
-        For means over positions, the effect must be one of the library. At positions, something on a
-        surface must be detected, and it must not be an aperture to a second room. For two states,
-        absorption must have changed.
+        If means were compared, the effect must be one of the library. If positions were compared,
+        something must be detected on a surface, and it must not be an aperture to a second room. If two
+        measurements of the room were compared, its absorption must have changed.
         """
         if self.kind == "means":
             return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
@@ -368,10 +368,11 @@ class Finding(Result):
 
     @property
     def can_be_verified(self) -> bool:
-        """Whether `rtcal.finder.verify` can compare the model with and without what was found.
+        """Whether `rtcal.finder.verify` can check the finding.
 
-        For means over positions, one effect must be probable. At positions, there must be enough pairs
-        that one half of them can predict the other half.
+        If means were compared, exactly one effect must be missing, with a probability of at least
+        `LEAST_ADDED`. Otherwise there must be at least `LEAST_PAIRS` source-receiver pairs, so that one
+        half of them can predict the other half.
         """
         if self.kind == "means":
             return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
@@ -414,9 +415,9 @@ class Finding(Result):
     def undecided(self) -> Reason | None:
         """Reason why you must give `apply` the name of an effect; None if you need not.
 
-        The probabilities of effects of one group on one surface are added, because these effects change
-        the model alike. If the verdict is "unknown", probabilities are shares of what does not belong
-        to "unknown".
+        The reason is that no effect has a probability of `LEAST_ADDED`. Effects of one group on one
+        surface count together, because they change the model alike. If the verdict is "unknown", a
+        probability is a share of that of all known effects.
         """
         best, known = self.likeliest, [c for c in self.candidates if c.effect != UNKNOWN]
         if not self.can_be_added or self.kind == "states" or best is None:
@@ -451,13 +452,13 @@ class Finding(Result):
         form: str | None = None,
         at: Sequence[float] | None = None,
     ) -> Corrected:
-        """Return the model with the effect that was found, as room, simulator and, for means, case.
+        """Return the model with the effect that was found, as a room and as a simulator.
 
-        For means, the most probable combination of effects is added, each with its size; if only a
-        group or nothing is identified, the most probable candidate. If the input coefficients have a
-        common error, the room's alpha is corrected and its sigma widened. An effect that the case has
-        already is not changed. At positions, the most probable candidate becomes a patch on its
-        surface. For two states, the room is that of the second state. An effect with a probability
+        If means were compared, the most probable combination of effects is added, each with its size;
+        if only a group or nothing is identified, the most probable candidate. If all input coefficients
+        have an error in common, the room's alpha is corrected and its sigma increased. If positions
+        were compared, the most probable candidate becomes a patch on its surface. If two measurements
+        of the room were compared, the result is the room after the change. An effect with a probability
         below 0.3 is added only if you name it as ``effect``.
 
         Parameters
@@ -476,9 +477,9 @@ class Finding(Result):
         ------
         DataError
             If there is nothing to add; if ``effect`` is not a candidate; if ``effect`` is not given and
-            the most probable candidate has less than 0.3; for a volume that is not identified; if
-            ``at`` is on no surface, or on one on which nothing was found; for an argument of another
-            kind of data.
+            the most probable candidate has a probability below 0.3; for a volume that is not
+            identified; if ``at`` is on no surface, or on one on which nothing was found; for an
+            argument that does not apply to the data.
 
         Examples
         --------
@@ -548,8 +549,8 @@ class Finding(Result):
     ) -> Case:
         """Return a case whose model has the most probable effects, or the candidates ``added``.
 
-        ``case`` is the case to which they are added, by default the finding's case. `verify` compares
-        the result with the case without these effects, however probable the effects are.
+        ``case`` is the case to which the effects are added; None means the finding's case. They are
+        added however probable they are.
         """
         base: Case = self.case if case is None else case
         present = {a.name for a in base.applied}

@@ -60,11 +60,11 @@ _BIN = 0.001
 
 @dataclass(frozen=True, eq=False)
 class ControlRooms:
-    """Hold the equation's errors in reference rooms, which one simulator computed for comparison.
+    """Hold the errors of a reverberation equation in reference rooms, as one simulator shows them.
 
-    ``errors`` (n_rooms, n_configurations, n_features, n_bands) are the simulated features, such as ln
-    T20, minus those of the equation for the same alpha. In a configuration with a run of a program,
-    they are minus those of another simulation, which represents the program.
+    ``errors`` (n_rooms, n_configurations, n_features, n_bands) are simulated minus predicted features
+    (ln T20, C80 and others) for the same alpha. Where a program's values replace the equation, a path
+    tracing of the reference room takes the place of the program. ``engine`` is the simulator's name.
     """
 
     engine: str
@@ -84,11 +84,11 @@ class ControlRooms:
 
 
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
-    """Return each simulator's estimate of the equation's bias, (n_estimates, *shape of one room).
+    """Return the mean error of the equation in each simulator's reference rooms, and a last one of 0.
 
-    The shape of one room is (n_configurations, n_features, n_bands). Image sources give no estimate
-    (`ENGINES`), and your own reference rooms do. A last estimate of 0 is added. It reduces the mean of
-    the estimates, because a second simulator confirms only a part of the bias that the first one shows.
+    The shape is (n_estimates, n_configurations, n_features, n_bands). Simulators that do not estimate
+    the bias (`ControlRooms.estimates_bias`) are left out. The estimate of 0 reduces the mean of all,
+    because a second simulator confirms only a part of the bias that the first one shows.
     """
     means = [c.mean for c in controls if c.estimates_bias]
     return np.array([*means, np.zeros_like(controls[0].mean)])
@@ -104,11 +104,12 @@ def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
 
 
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
-    """Draw random coefficients of a case, (n, n_configurations, n_materials, n_bands).
+    """Draw random coefficients of a case's room, (n, n_configurations, n_materials, n_bands).
 
-    The coefficients are from 0.001 to 0.99, with the input alpha and sigma, and with the room's
-    correlation between bands. Materials that a configuration changes are drawn independently. Each
-    material has random numbers of its own, so that the order of the materials has no effect.
+    They are normally distributed with the input alpha, its sigma and the room's correlation between
+    bands, and limited to 0.001 to 0.99. A material that a configuration changes is drawn independently.
+    Each material has random numbers of its own from ``rng``, so that the order of materials has no
+    effect.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
@@ -133,8 +134,8 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 def box(case: Case) -> tuple[Room, Polyhedron, Array]:
     """Return a case's reference room, its geometry, and the share of each material on each axis.
 
-    The reference room is a box with one material for the two walls on each axis. The product of the
-    case's alpha with the shares (n_materials, 3) is the mean alpha of these walls.
+    The reference room is a box with one material for the two walls across each axis. The shares are
+    (n_materials, 3). The product of the shares with the case's alpha is the mean alpha of these walls.
     """
     room = case.room
     towards = room.areas[:, None] * np.where(np.isfinite(case.facing), case.facing, 1 / 3)
@@ -257,14 +258,23 @@ def _features(energy: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Engine:
-    """Hold a simulator for reference rooms, and describe the reference rooms that it simulates.
+    """Hold a simulator of reference rooms, and how many reference rooms it simulates.
 
-    ``simulator`` returns, for a reference room and its number, the function that simulates it.
-    ``stream`` is the number of the simulator's stream of random numbers, so that simulators have
-    different rooms. ``setups`` is the number of rooms, each with coefficients drawn from the prior, and
-    ``duration`` the length of the decays in reverberation times. ``models`` are models of scattering,
-    used in turn for every two rooms, or none for a simulator without scattering. ``estimates_bias`` is
-    whether the mean of the errors estimates the equation's bias. If not, only their scatter is used.
+    Attributes
+    ----------
+    simulator : function
+        Function of a reference room and its number, which returns a function that simulates the room.
+    stream : int
+        Number of the simulator's stream of random numbers.
+    setups : int
+        Number of reference rooms, each with coefficients drawn from the prior.
+    duration : float
+        Length of the simulated decays in reverberation times.
+    models : sequence of ScatteringModel
+        Models of scattering, used in turn; empty for a simulator without scattering.
+    estimates_bias : bool
+        Whether the mean of the errors estimates the equation's bias. If not, only their scatter is
+        used.
     """
 
     name: str
@@ -282,11 +292,12 @@ class Engine:
         progress: TaskProgress | None = None,
         scheduler: str | None = None,
     ) -> ControlRooms:
-        """Return the errors of the equation in the reference rooms of a case, after simulating them.
+        """Return the errors of the equation in reference rooms of a case, after simulating these rooms.
 
-        In a configuration with a run of a program, a path tracing with the run's coefficients and the
-        same positions represents the program. Errors of the equation then cancel, and the differences
-        between two geometrical programs remain.
+        In a configuration whose model is the run of a simulation program, a path tracing with the run's
+        coefficients takes the place of the program. The errors are then differences between two
+        geometrical simulations. ``seed`` is that of the random numbers. ``progress`` is called after
+        each room. ``scheduler`` is the address of a Dask scheduler; None simulates on this machine.
         """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))

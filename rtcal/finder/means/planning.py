@@ -154,22 +154,22 @@ def plan(
         Effects to compare, by default the whole library. If the directions of surfaces are unknown,
         effects that depend on them are left out (`Effect.needs_directions`).
     change : float
-        Relative change of T20 that is assumed for each effect, in the band that it changes most; above
-        0 and at most 1. Each effect gets the size whose change is nearest to it.
+        Relative change of T20 that each effect is assumed to cause in the band that it changes most;
+        above 0 and at most 1.
     finding : Finding, optional
         Result of `rtcal.find` for this case, whose reference rooms give the equation's error. Without
         it the error is `GENERIC_UNCERTAINTY`.
     costs : mapping of str to float, optional
-        Hours that a measurement takes, in place of `rtcal.finder.means.planning.COSTS`:
-        ``{"G": 0.5, "another climate": 40}``.
+        Hours that a measurement takes, in place of `rtcal.finder.means.planning.COSTS`: ``{"G": 0.5,
+        "another climate": 40}``.
     planned : sequence of Configuration, optional
         Further configurations that could be measured.
 
     Raises
     ------
     DataError
-        If ``change`` is outside its limits, an effect breaks a rule, ``costs`` has an unknown name or a
-        number that is not above 0, or the finding is of another case.
+        If ``change`` is outside its limits; if an effect breaks a rule; if ``costs`` has an unknown
+        name or a number that is not above 0; or if the finding is of another case.
 
     Examples
     --------
@@ -305,11 +305,12 @@ _TRACE = 1e-9  # of the mean variance, on a diagonal: two of several features ma
 class Information:
     """Compute how much a further measurement is expected to show about which effects are missing.
 
-    ``moments`` are those of all features that are or could be measured, under n hypotheses. ``weights``
-    (n,) are the probabilities of the hypotheses, and ``groups`` (n,) the numbers of their sets of
-    effects. ``measured`` (m,) are the features that are measured already. If their ``values``
-    (n_measured,) are given, ``weights`` must already contain them. If ``values`` is None, only the kind
-    of measurement is known.
+    A hypothesis is a set of effects with given sizes. ``moments`` are the means and covariances of all
+    m features (ln T20, C80 and others) that are or could be measured, under each of n hypotheses.
+    ``weights`` (n,) are the probabilities of the hypotheses, and ``groups`` (n,) the numbers of their
+    sets of effects. ``measured`` (m,) is True for features that are measured already. Their ``values``
+    may be None, if the measurement is only planned. If not, ``weights`` are the probabilities given
+    these values.
     """
 
     def __init__(
@@ -380,10 +381,12 @@ FURTHER = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
 
 
 def separations(problem: MeansProblem, first: int, further: Sequence[str] = ()) -> dict[str, float]:
-    """Return the expected ln Bayes factor against each effect if hypothesis number ``first`` is true.
+    """Return the expected ln Bayes factor against each effect if one hypothesis is true, by effect.
 
-    It is ½ min d' C⁻¹ d over the effect's parameters: d is the difference of the features under both
-    hypotheses, and C the covariance. The features are those in use and the ``further`` ones.
+    A hypothesis is an effect with given parameters, and ``first`` is the number of the true one. The
+    result is the minimum over an effect's parameters of ½ d' C⁻¹ d: d is the difference of the features
+    (ln T20, C80 and others) between the two hypotheses, and C the covariance. The features are those
+    that are compared in ``problem``, and those named in ``further``.
     """
     predicted, observed = problem.predicted, problem.observed
     used = observed.used.copy()
@@ -454,9 +457,10 @@ _ABSORBER = {"thickness": 0.05, "flow_resistivity": 12e3}
 class FurtherMeasurement:
     """Describe a measurement that could be made next.
 
-    Either ``parameters`` are measured in the existing configurations, or a further ``configuration`` is
-    measured. ``same_error`` is the correlation of the model's error between the further and the first
-    configuration. ``share`` is the measurement variance over that of the first configuration.
+    Either ``parameters`` are measured in the existing configurations, or a new ``configuration`` is
+    measured. ``measurement`` is its description. ``same_error`` is the correlation of the model's
+    errors in the new and the first configuration. ``share`` is the variance of the new measurement
+    relative to that of the first configuration.
     """
 
     measurement: Reason
@@ -502,11 +506,10 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherM
 def extended(
     problem: MeansProblem, further: Sequence[FurtherMeasurement]
 ) -> tuple[MeansProblem, Mask, list[Mask]]:
-    """Return the problem with all further measurements, as if their configurations were in its case.
+    """Return the problem of a search with further measurements, and masks of measured and new features.
 
-    Its hypotheses are those of the original case. Also returned are two masks over the features in use,
-    (m,): the features that are measured already, and, for each further measurement, the features that
-    it adds.
+    The first mask (m,) is True for features that are measured already. The second result has a mask for
+    each further measurement, True for the features that it adds. The hypotheses stay the same.
     """
     case, observed = problem.case, problem.observed
     new = [f for f in further if f.configuration is not None]

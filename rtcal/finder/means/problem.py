@@ -110,11 +110,11 @@ LARGEST_HYPOTHESES = 5000
 
 @dataclass(frozen=True, eq=False)
 class PredictedFeatures:
-    """Hold features such as ln T20 of n states of a case's room, and their derivatives.
+    """Hold the predicted features of n states of a case's room, such as ln T20, and their derivatives.
 
-    ``features``, and ``slopes``, the derivatives of the features by ln T20, are (n, n_configurations,
-    n_features, n_bands). ``jacobian`` (n, n_configurations, n_materials, n_bands) is -d ln T20 / d
-    alpha.
+    ``features`` (n, n_configurations, n_features, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and C80
+    and G in dB. ``slopes`` are their derivatives by ln T20, in the same shape. ``jacobian`` (n,
+    n_configurations, n_materials, n_bands) is -d ln T20 / d alpha.
     """
 
     case: Case
@@ -123,12 +123,12 @@ class PredictedFeatures:
     jacobian: Array
 
     def log_time_errors(self, rows: Indices) -> tuple[Array, Array]:
-        """Return the covariance of ln T20 by coefficients and climate, and the common errors of ln T20.
+        """Return the covariance of ln T20 by coefficients and climate, and its common errors.
 
         The shapes are (n, size, size) and (n, size, n_directions), where size is the number of
-        configurations times the number of bands. Common errors are those of
-        `rtcal.finder.evidence.factors`. The coefficients of a material that a configuration changed are
-        independent of those in other configurations. ``rows`` are the numbers of the states.
+        configurations times the number of bands. Common errors of ln T20 are those by errors that
+        coefficients have in common, one standard deviation each. ``rows`` are the numbers of the n
+        states.
         """
         sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)
         factor = self.jacobian[rows] * sigma
@@ -155,11 +155,10 @@ _RATE = 6 * np.log(10)
 def predict_in(
     case: Case, configuration: Configuration, states: Sequence[RoomState], far: float = 1.0
 ) -> Predicted:
-    """Return the features of states of a configuration, at ``far`` times its source-receiver distances.
+    """Return the predicted features (ln T20, C80 and others) of room states in one configuration.
 
-    If the configuration has a run of a program, the difference between the run and the equation, at the
-    run's coefficients, is added. The reverberation time and its derivatives remain those of the
-    equation.
+    ``far`` is a factor on the source-receiver distances. If the configuration has values of a
+    simulation program, the difference between these values and the equation is added to the features.
     """
     made = predict(states, far * distances(case, configuration))
     if configuration.simulated is None:
@@ -170,10 +169,10 @@ def predict_in(
 
 @lru_cache(maxsize=8)
 def offset_of(case: Case, configuration: Configuration) -> Array:
-    """Return the features of a configuration's run minus those of the equation, (n_features, n_bands).
+    """Return a program's features (ln T20, C80 and others) minus the equation's, (n_features, n_bands).
 
-    Both have the run's coefficients, and no effects that were added to the model. The result is NaN
-    where the run has no value, and 0 for a configuration without a run.
+    Program and equation have the coefficients with which the program was run. The result is NaN where
+    the program gave no value, and 0 for a configuration without values of a program.
     """
     run = configuration.simulated
     if run is None:
@@ -275,10 +274,11 @@ class MeansHypotheses(PredictedFeatures):
 def predict_hypotheses(
     case: Case, effects: Sequence[Effect], grids: Sequence[Sequence[Parameters]] | None = None
 ) -> MeansHypotheses:
-    """Return the features of a case's model with every effect and each set of its parameters.
+    """Return the predicted features (ln T20, C80 and others) with each effect that is tried.
 
-    ``grids`` has the sets of parameters to try for each effect; None means the effects' own. Raises
-    DataError if an effect breaks a rule, or if it has no set of parameters with a finite T, C80 and G.
+    ``grids`` has, for each of ``effects``, the sets of parameters to try; None means those that the
+    effect proposes. Raises DataError if an effect breaks a rule, or if it has no set of parameters with
+    a finite T, C80 and G.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
@@ -346,11 +346,12 @@ def features_of(
     changed: bool = True,
     far: Array | float = 1.0,
 ) -> Array:
-    """Return the features of a case's model, (n_configurations, n_features, n_bands).
+    """Return the predicted features (ln T20, C80 and others) of a case's model, by configuration.
 
-    ``applied`` replaces the effects in the model; None keeps them. If ``changed`` is False, the changes
-    of the configurations are left out. ``far`` is a factor on the source-receiver distances, one number
-    or (n_configurations,).
+    The shape is (n_configurations, n_features, n_bands). ``applied`` replaces the effects in the model;
+    None keeps them. If ``changed`` is False, the materials that configurations change keep their input
+    coefficients. ``far`` is a factor on the source-receiver distances, one number or
+    (n_configurations,).
     """
     case = case if applied is None else replace(case, applied=applied)
     out = []
@@ -413,13 +414,12 @@ def _misfit_of_all(change: Array, errors: Array, alone: float) -> Array:
 def misfit(
     d: Array, amount: Array, feature: NDArray[np.intp], errors: Array, alone: Array | float
 ) -> Array:
-    """Return the covariance of the error of an effect's equation, (..., m, m), for m features.
+    """Return the covariance (..., m, m) of the error of an effect's equation, for m features.
 
-    ``d`` (..., m) are the effect's changes of the features, and ``feature`` (m,) their rows in
-    `FEATURES`. ``amount`` (..., m) are the changes of ln T20 in the same band and configuration.
-    ``errors`` (..., m, n_errors) are relative errors in the features' bands
-    (`Effect.errors_over_bands`). ``alone`` (...) is the standard deviation of the relative error that
-    each feature has by itself.
+    ``d`` (..., m) are the changes of the features, and ``feature`` (m,) their rows in `FEATURES`.
+    ``amount`` (..., m) are the changes of ln T20 in the same band and configuration. ``errors`` (...,
+    m, n_errors) are relative errors that bands have in common (`Effect.errors_over_bands`). ``alone``
+    (...) is the standard deviation of the relative error that each feature has by itself.
     """
     columns = misfit_columns(d, amount, feature, errors)
     own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
@@ -430,10 +430,10 @@ def misfit(
 
 
 def misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: Array) -> Array:
-    """Return the errors of `misfit` that bands have in common, (..., m, n_errors + 2).
+    """Return the errors of an effect's equation that bands have in common, (..., m, n_errors + 2).
 
-    Each column is one standard deviation. The last two columns are errors of the decay's shape
-    (`SHAPE_CHANGE`). For the parameters see `misfit`.
+    Each column is one standard deviation of an independent error of m features. The last two columns
+    are errors of the decay's shape (`SHAPE_CHANGE`). For the parameters see `misfit`.
     """
     shape = [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
     parts = np.sqrt(0.5) * np.stack(shape, axis=-1)
@@ -456,8 +456,8 @@ ONE_LEVEL = 1.0
 class ObservedFeatures:
     """Hold the measured features, such as ln T20; NaN where nothing was measured.
 
-    ``features`` and ``used``, the mask of the features in use, are (n_configurations, n_features,
-    n_bands). ``covariance`` (n_used, n_used) is the covariance R of their measurement. ``origin`` is a
+    ``features`` are (n_configurations, n_features, n_bands), and ``used`` is a mask of the features
+    that are compared. ``covariance`` (n_used, n_used) is that of their measurement. ``origin`` is a
     sentence on the source of the uncertainties.
     """
 
@@ -478,9 +478,10 @@ class ObservedFeatures:
 
 
 def steps(case: Case, used: Array) -> dict[int, str]:
-    """Return the names of the steps of the data, by their number of leading features.
+    """Return the names of two steps of the data: T of the first configuration, and all data.
 
-    The steps are T of the first configuration, and all data. ``used`` is as in `ObservedFeatures`.
+    The keys are the numbers of features in each step. ``used`` (n_configurations, n_features, n_bands)
+    is a mask of the features that are compared.
     """
     first = int(np.argmax(used.any((1, 2))))
     configuration = case.configurations[first]
@@ -579,9 +580,10 @@ def features_of_values(m: Measurement) -> Array:
 def values_of_features(
     features: Array, frequencies: Array, parameters: Collection[str]
 ) -> Measurement:
-    """Return a model's features (n_features, n_bands) as values of the ``parameters``.
+    """Return a model's features (n_features, n_bands) as a measurement with the given ``parameters``.
 
-    The first feature is ln T20, or ln T30 if T20 is not among the parameters.
+    Features are ln T20, ln EDT/T20, ln T30/T20, C80 and G. If T20 is not among the parameters, the
+    first is taken as ln T30. ``frequencies`` (n_bands,) are in Hz.
     """
     log_time, edt, t30, c80, g = features
     with np.errstate(over="ignore"):
@@ -643,10 +645,10 @@ pair, less of a mean over pairs."""
 
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> RoomState:
-    """Return the acoustic state of a case's room in one configuration, with the applied effects.
+    """Return the acoustic state of a case's room in one configuration, with the effects in its model.
 
-    ``alpha`` (n_materials, n_bands) replaces the coefficients of the room; None keeps them. The changes
-    of the configuration are then applied.
+    ``alpha`` (n_materials, n_bands) replaces the coefficients of the room; None keeps them. Materials
+    that the configuration changes have the coefficients of the configuration.
     """
     return states(case, configuration, [case.room.alpha if alpha is None else alpha])[0]
 
@@ -676,10 +678,10 @@ def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) ->
 def with_applied(
     unchanged: RoomState, applied: Sequence[AppliedEffect], configuration: Configuration
 ) -> RoomState:
-    """Return the room's state in a configuration, with the effects that were applied to the model.
+    """Return the state of a room in one configuration with the effects that are in the model.
 
-    ``unchanged`` is the state without these effects. A removable effect is left out of a configuration
-    in which the suspected object was removed.
+    ``unchanged`` is the state without these effects, and ``applied`` are the effects. An object that
+    can be removed is left out if the ``configuration`` was measured after its removal.
     """
     for p in applied:
         if not (configuration.suspect_removed and p.effect.removable):
@@ -718,14 +720,12 @@ class ModelDiscrepancy:
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
     """Return the bias and the covariance of the model's error, estimated from reference rooms.
 
-    The bias is the mean of `bias_estimates`. The covariance is the scatter between the rooms of each
-    simulator plus the scatter between these estimates. Because the rooms are few, the covariance is
-    averaged with its own diagonal.
+    The bias is the mean of the simulators' mean errors, and of 0 (`bias_estimates`). The covariance is
+    the scatter between the rooms of each simulator plus the scatter between these means. Because the
+    rooms are few, the covariance is averaged with its own diagonal.
 
-    Where a geometrical program's run is compared with the room (`of_either`), either may be in error.
-    The bias is then 0, and the mean of each simulator is an error of unknown sign, whose correlation
-    over features and bands is kept. In these reference rooms room and program have different
-    simulators, so that no further uncertainty is added.
+    Where a geometrical program's values are compared with the measurement, the sign of an error is not
+    known. The bias is then 0, and each simulator's mean error enters the covariance.
     """
     n, k = len(case.configurations), case.room.n_bands
     size, either = n * len(FEATURES) * k, of_either(case)
@@ -751,10 +751,10 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
 
 
 def of_either(case: Case) -> NDArray[np.bool_]:
-    """Return where a geometrical program's run is compared with the room, (n_configurations, 1, 1).
+    """Return the configurations with a geometrical program's values, (n_configurations, 1, 1) of bool.
 
-    There, either of the two may have the less diffuse field, because the scattering coefficients in the
-    program are a guess.
+    In these, the field of the program or that of the room may be the less diffuse one, because the
+    scattering coefficients in the program are a guess.
     """
     by_run = [bool(case.program) and c.simulated is not None for c in case.configurations]
     return np.array(by_run)[:, None, None]
@@ -762,10 +762,11 @@ def of_either(case: Case) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Hold the mean (n, m) and covariance (n, m, m) of the m features in use under n hypotheses.
+    """Hold the mean (n, m) and covariance (n, m, m) of m compared features under n hypotheses.
 
-    ``common`` (n, r, m) are the changes of the features by r common errors of the coefficients, one
-    standard deviation each.
+    Features are ln T20, C80 and others. A hypothesis is an effect with given parameters. ``common`` (n,
+    r, m) are the changes of the features by r errors that coefficients have in common, one standard
+    deviation each.
     """
 
     mean: Array
@@ -775,11 +776,13 @@ class Moments:
 
 @dataclass(frozen=True, eq=False)
 class MeansProblem:
-    """Hold the problem of a search by means: the measurement, all predictions and their errors.
+    """Hold what a search by means compares: the measurement, all predictions and their errors.
 
-    ``predicted`` has the features under each hypothesis, and ``discrepancy`` the error of the model.
-    ``cells`` (n_hypotheses, n_used, n_parameters) is used for sets of several effects: the standard
-    deviation of each feature over the cell of the grid that a hypothesis represents (`compare`).
+    ``observed`` and ``predicted`` are measured and predicted features (ln T20, C80 and others), and
+    ``discrepancy`` is the error of the model. A hypothesis is an effect with one set of parameters.
+    ``cells`` (n_hypotheses, n_used, n_parameters) is the standard deviation of each compared feature
+    over the range of parameters for which a hypothesis stands; it is empty unless several effects are
+    tried at once.
     """
 
     case: Case
@@ -821,9 +824,9 @@ class MeansProblem:
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
     def by_log_time(self, predicted: PredictedFeatures, rows: Indices, changes: Array) -> Array:
-        """Return how the features in use change with given changes of ln T20, (n, n_used, n_columns).
+        """Return the changes of compared features by given changes of ln T20, (n, n_used, n_columns).
 
-        ``changes`` (n, size, n_columns) are those of ln T20 in each configuration and band. ``rows``
+        ``changes`` (n, size, n_columns) of ln T20 are those in each configuration and band. ``rows``
         are the numbers of the n hypotheses in ``predicted``.
         """
         c, f, b = self.places
@@ -836,11 +839,11 @@ class MeansProblem:
         members: Sequence[Indices] | None = None,
         predicted: PredictedFeatures | None = None,
     ) -> Moments:
-        """Return mean and covariance of the features in use under hypotheses, which ``rows`` number.
+        """Return mean and covariance of the compared features under n hypotheses.
 
-        For sets of effects, ``predicted`` has the features with all effects of a set, and ``members``
-        the numbers of the hypotheses whose errors are added, (n,) for each place in the set. If both
-        are None, the hypotheses are single effects.
+        ``rows`` are the numbers of the hypotheses, each an effect with given parameters. For sets of
+        effects, ``predicted`` has the features with all effects of each set, and ``members`` the
+        numbers of the single effects, one array (n,) for each place in the set.
         """
         made, alone = predicted or self.predicted, [rows] if members is None else members
         c, f, b = self.places
@@ -860,10 +863,11 @@ class MeansProblem:
     def of_alpha(
         self, rows: Indices, predicted: PredictedFeatures | None = None
     ) -> tuple[Array, Array]:
-        """Return the covariance of the features by coefficients and climate, and their common errors.
+        """Return the covariance of compared features by coefficients and climate, and common errors.
 
-        The shapes are (n, n_used, n_used) and (n, n_used, n_directions) for the n hypotheses ``rows``;
-        for ``predicted`` see `moments`.
+        The shapes are (n, n_used, n_used) and (n, n_used, n_directions). ``rows`` are the numbers of n
+        hypotheses in ``predicted``, which is by default the problem's own. A common error is one that
+        coefficients have in common, one standard deviation.
         """
         made = predicted or self.predicted
         of_time, together = made.log_time_errors(rows)
@@ -883,10 +887,10 @@ class MeansProblem:
         return out
 
     def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
-        """Return the covariance of the features by the coefficients, and by all other errors.
+        """Return the covariance of the compared features by the coefficients, and by all other errors.
 
-        Both are (n_used, n_used), under hypothesis number ``i``. ``scale`` multiplies the common error
-        of the coefficients.
+        Both are (n_used, n_used), under hypothesis number ``i``. ``scale`` multiplies the errors that
+        the coefficients have in common.
         """
         row = slice(i, i + 1)
         (alpha,), (common,) = self.of_alpha(row)
@@ -898,8 +902,8 @@ class MeansProblem:
         """Return the distance of the measurement from hypothesis number ``i``, and its p-value.
 
         The distance is sqrt(r' C⁻¹ r / n) of the n residuals r, which is 1 on average. The p-value is
-        the probability of a larger chi-square (Gelman, Meng & Stern 1996; their random draws are not
-        needed, because C contains the prior). For ``scale`` see `covariance_of`.
+        the probability of a larger chi-square (Gelman, Meng & Stern 1996). ``scale`` multiplies the
+        errors that the coefficients have in common.
         """
         alpha, other = self.covariance_of(i, scale)
         residual = self.residual(i)
@@ -929,14 +933,22 @@ def log_likelihoods(
     off: bool,
     coarsened: bool = True,
 ) -> tuple[Array, Array]:
-    """Return the log densities of data under each hypothesis: without and with a common error.
+    """Return the log densities of data under each hypothesis, without and with a common error.
 
-    Both arrays are (n_ends, n_hypotheses, n_draws). The first is with the input coefficients. The
-    second is with coefficients that have a common error F: the mean density over the factors s of
-    `SCALES`, with the covariance C + (s² - 1) F F'; it is -inf if ``off`` is False. ``parts`` are the
-    moments of n features, of some of the hypotheses at a time. ``values`` (n_draws, n) are measured or
-    drawn features, and ``ends`` the numbers of leading features that are used, rising. For
-    ``coarsened`` see `rtcal.finder.evidence.student`.
+    Both arrays are (n_ends, n_hypotheses, n_draws). A common error F is one that all coefficients have
+    in common. With it the density is the mean over the factors s in `SCALES`, with the covariance C +
+    (s² - 1) F F'; it is -inf if ``off`` is False.
+
+    Parameters
+    ----------
+    parts : iterable of Moments
+        Mean and covariance of n features under some of the hypotheses at a time.
+    values : array (n_draws, n)
+        Measured or drawn features.
+    ends : sequence of int
+        Rising numbers of leading features, for each of which a density is returned.
+    coarsened : bool
+        Whether densities are raised to a power below 1, as in `rtcal.finder.evidence.student`.
     """
     scales = np.array(SCALES)
     more, log_probability = (scales[:, 0] ** 2 - 1)[:, None, None], np.log(scales[:, 1])
@@ -985,11 +997,12 @@ NEGLIGIBLE = 8.0
 
 @dataclass(frozen=True, eq=False)
 class MeansEvidence:
-    """Hold the log likelihood of every hypothesis, (n_hypotheses,) or (n_hypotheses, n_draws).
+    """Hold the log likelihood of the data under every hypothesis, an effect with given parameters.
 
-    ``stated`` is that with the input coefficients, ``off`` that with coefficients that have a common
-    error, and ``prior_off`` the prior probability of such an error. ``unknown`` is the log evidence of
-    an unknown effect, a float or (n_draws,).
+    ``stated`` is the log likelihood with the input coefficients, and ``off`` that with an error that
+    all coefficients have in common, whose prior probability is ``prior_off``. Both are (n_hypotheses,),
+    or (n_hypotheses, n_draws) for random data. ``unknown`` is the log evidence of an unknown effect, a
+    number or (n_draws,).
     """
 
     problem: MeansProblem
@@ -1047,7 +1060,7 @@ def evaluate(
 
     The list has one entry for each number of leading features in ``ends``, and a last one for all
     features. ``values`` (n_draws, n_used) replace the measured features; None keeps them. ``prior_off``
-    is the prior probability that the coefficients have a common error.
+    is the prior probability of an error that all coefficients have in common.
     """
     ends = [*ends, len(problem.observed.values)]
     y = np.atleast_2d(problem.observed.values if values is None else values)
@@ -1076,11 +1089,12 @@ _IMPOSSIBLE = -1e4
 def evaluate_beyond(
     problem: MeansProblem, prior_off: float, ends: Sequence[int] = ()
 ) -> list[MeansEvidence]:
-    """Return the log evidence as `evaluate` does, with more sizes if the last one of a grid fits best.
+    """Return the log evidence of every hypothesis, after trying more sizes of effects where needed.
 
-    The further sizes have the grid's own steps, and lead away from the size that changes nothing. They
-    end at the physical limits (`Effect.limits`), or where the evidence no longer changes. Their prior
-    density is that of the effect.
+    If the largest or smallest size of an effect fits best, further sizes are tried, in the same steps,
+    up to the physical limits (`Effect.limits`) or until the evidence no longer increases. ``prior_off``
+    is the prior probability of an error that all coefficients have in common. The list has one entry
+    for each number of leading features in ``ends``, and a last one for all features.
     """
     case = problem.case
     evidence, reached = evaluate(problem, prior_off, ends=ends), dict[str, float]()
@@ -1117,11 +1131,12 @@ def unknown_evidence(
     *,
     coarsened: bool = True,
 ) -> Array:
-    """Return the log evidence of an unknown effect: a change that is partly smooth over bands.
+    """Return the log evidence of an unknown effect, (n_ends, n_draws).
 
-    The shape is (n_ends, n_draws). ``residual`` is measured minus predicted, ``covariance`` that of the
-    residual, ``used`` the features in use, and ``ends`` the numbers of leading features that are used.
-    For ``coarsened`` see `rtcal.finder.evidence.student`.
+    Its change of the features is random and partly smooth over bands. ``residual`` (n_draws, n_used) is
+    measured minus predicted, and ``covariance`` that of the residual. ``used`` (n_configurations,
+    n_features, n_bands) is a mask of the compared features, and ``ends`` are numbers of leading
+    features. For ``coarsened`` see `rtcal.finder.evidence.student`.
     """
     count, _, n_bands = used.shape
     lag = np.abs(np.subtract.outer(np.arange(n_bands), np.arange(n_bands)))
@@ -1173,10 +1188,10 @@ def null_scores(
 
 
 def thresholds(scores: Array) -> Array:
-    """Return the threshold of each step, (n_steps,), from scores of rooms with nothing missing.
+    """Return the threshold of each step of the data, (n_steps,), from rooms with nothing missing.
 
-    ``scores`` are (n_rooms, n_steps). The thresholds are quantiles of the steps at one common level,
-    and at least `MINIMUM`. A share of `QUANTILE` of the rooms exceeds none of them.
+    ``scores`` (n_rooms, n_steps) are the scores of these rooms. The thresholds are quantiles at one
+    level, so that the share `QUANTILE` of the rooms exceeds none of them; none is below `MINIMUM`.
     """
     raised = np.maximum(scores, MINIMUM)
     below = [np.searchsorted(np.sort(column), column) for column in raised.T]
@@ -1194,10 +1209,10 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
 
 
 def score(evidence: MeansEvidence, prior: Prior) -> Array:
-    """Return the ln Bayes factor that something is missing from the model, against "none".
+    """Return the ln Bayes factor that something is missing from the model, against nothing missing.
 
-    It is the mean evidence of all hypotheses other than "none", weighted by their prior probabilities.
-    A difference that only a geometrical program's sound field explains counts as "none"
+    It is the mean evidence of all effects, weighted by their probabilities in ``prior``. If the model
+    is a geometrical program's result, its own sound field counts as nothing missing
     (`rtcal.finder.claim.of_program`).
     """
     table: Mapping[str, Array] = evidence.by_effect()
@@ -1223,9 +1238,10 @@ def draw_null_features(
 ) -> Array:
     """Return random features (n, n_used) of rooms from whose model nothing is missing.
 
-    ``errors`` are the equation's errors by each simulator, of which one is added to each room.
-    ``applied`` is the covariance by the effects in the model, and by distances that are not known.
-    ``rng`` is the generator of random numbers.
+    ``observed`` has the features (ln T20, C80 and others) that are compared, and their covariance.
+    ``errors`` has the equation's errors in each simulator's reference rooms, one of which is added to
+    each room. ``applied`` is the covariance by the effects that are in the model, and by unknown
+    distances. ``rng`` is the generator of random numbers.
     """
     in_common = drawn(directions(case, NULL_POWER), case.room.materials, rng, n)
     alphas = draw_alpha(case, rng, n) + in_common
@@ -1296,11 +1312,11 @@ def applied_effects(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedE
 
 
 def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], frozenset[str]]:
-    """Return the effects' names in the order in which they act, and those that replace the decay.
+    """Return the effects' names in the order in which they are added, and those that replace the decay.
 
-    Another equation acts first, because absorbers are added in its terms; then effects that replace
-    input values of the room; then effects that are added. A set may have only one effect that replaces
-    the decay's shape.
+    Another reverberation equation comes first, because absorbers are added in its terms; then effects
+    that replace input values of the room; then all others. A set of effects may have only one that
+    replaces the shape of the decay.
     """
     base = state(case, case.configurations[0])
     changed = {
@@ -1319,8 +1335,8 @@ def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], fro
 class Screen:
     """Compute log likelihoods of pairs of effects from the changes that each effect causes alone.
 
-    ``base`` are numbers of hypotheses whose effects are added to every pair. Hypothesis 0, "none",
-    changes nothing.
+    ``base`` are the numbers of hypotheses, each an effect with given parameters, that are added to
+    every pair.
     """
 
     def __init__(self, compared: MeansProblem, base: Members = ()) -> None:
@@ -1374,8 +1390,9 @@ class Screen:
 def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool) -> Array:
     """Return the log likelihoods of sets of effects, (n_sets, 2).
 
-    All effects of a set are added to the room's state. The first column is with the input coefficients,
-    the second with coefficients that have a common error, or -inf if ``off`` is False.
+    A set has the numbers of its hypotheses, each an effect with given parameters. The first column is
+    with the input coefficients, the second with an error that all coefficients have in common; it is
+    -inf if ``off`` is False.
     """
     begins, possible = range(0, len(sets), _SETS_AT_ONCE), list[NDArray[np.bool_]]()
 
@@ -1392,10 +1409,11 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool)
 
 
 def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, NDArray[np.bool_]]:
-    """Return the moments of the features with all effects of a set, and which sets are possible.
+    """Return mean and covariance of the features with all effects of each set, and which are possible.
 
-    The second result is (n_sets,) of bool. An impossible set has no finite features, and its moments
-    are set to 0 and the unit matrix.
+    A set has the numbers of its hypotheses, each an effect with given parameters. The second result is
+    (n_sets,) of bool. A set is impossible if its features are not finite; its mean is then 0 and its
+    covariance the unit matrix.
     """
     most = max(map(len, sets))
     members = [np.array([rows[k] if k < len(rows) else 0 for rows in sets]) for k in range(most)]
@@ -1447,10 +1465,10 @@ def unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
 def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float]]) -> Array:
     """Return the mean of alpha after the measurement over probable sets, (n_materials, n_bands).
 
-    ``likely`` are the sets and their probabilities, which are the weights of the mean (Hoeting et al.
+    ``likely`` are sets of effects and their probabilities, the weights of the mean (Hoeting et al.
     1999). Under each set, features y and coefficients are jointly normal: E[alpha | y] = mu + Sigma G'
-    C⁻¹ (y - mean), with G = d features / d alpha. Therefore T changes the coefficients only as far as
-    neither an effect nor the model's error explains T. Coefficients remain within 0 and 1.
+    C⁻¹ (y - mean), with G = d features / d alpha. T therefore changes the coefficients only as far as
+    neither an effect nor the model's error explains T.
     """
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)
@@ -1491,10 +1509,11 @@ DISTINCT = 0.1
 class SetPosterior:
     """Hold the probabilities of sets of effects after the measurement.
 
-    ``sets`` maps each set, as names in the order in which they act, to its probability, the most
-    probable first; () means that nothing is missing. ``rows`` has the set's most probable parameters,
-    and ``off`` the probability of a common error of the coefficients, given the set. ``likely`` are the
-    most probable hypotheses without unknown effects, with probabilities that sum to 1.
+    ``sets`` maps each set, a tuple of names, to its probability, the most probable first; () means that
+    nothing is missing. ``off`` has the probability, given the set, of an error that all coefficients
+    have in common. ``rows`` has the numbers of the set's most probable hypotheses, each an effect with
+    given parameters. ``likely`` are the most probable sets of hypotheses without unknown effects, with
+    probabilities that sum to 1.
     """
 
     sets: Mapping[Names, float]
@@ -1513,7 +1532,8 @@ class SetPosterior:
     def effects(self) -> dict[str, float]:
         """Return the probability that each effect is missing, the most probable first.
 
-        "none" has the probability that no effect is missing and the coefficients have no common error.
+        "coefficients" has the probability of an error that all coefficients have in common, and "none"
+        that of neither a missing effect nor such an error.
         """
         out = summed((name, p) for names, p in self.sets.items() for name in names)
         out[COEFFICIENTS] = sum(p * self.off[names] for names, p in self.sets.items())
@@ -1530,10 +1550,10 @@ class SetPosterior:
         return most_probable_first(out | summed(parts))
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
-        """Return, for each effect of the set ``best``, the effects that explain the data about as well.
+        """Return the effects that explain the data about as well as each effect of the set ``best``.
 
-        Such an effect takes the place of the first one in the set, and the new set has at least
-        `DISTINCT` times the probability of ``best``.
+        With another effect in place of the first one, the set has at least `DISTINCT` times the
+        probability of ``best``.
         """
         out = {}
         for name in best:
@@ -1548,9 +1568,10 @@ class SetPosterior:
 
 
 def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]) -> SetPosterior:
-    """Return the posterior of sets of one effect, from the ``probabilities`` of single effects.
+    """Return the probabilities of sets with at most one effect, from those of single effects.
 
-    "coefficients" among them becomes the empty set with a common error of the coefficients.
+    ``probabilities`` are those of effects, "none", "coefficients" and "unknown", by name. "none" and
+    "coefficients" together are the empty set.
     """
     nothing = probabilities[NONE] + probabilities[COEFFICIENTS]
     sets: dict[Names, float] = {(): nothing}
@@ -1582,7 +1603,7 @@ def posterior_of_sets(
     expected: float = EXPECTED,
     most: int = MOST,
 ) -> SetPosterior:
-    """Return the probabilities of all sets of up to ``most`` effects.
+    """Return the probabilities of all sets of up to ``most`` effects, after the measurement.
 
     ``expected`` is the number of missing effects that is expected before the measurement. Sets of three
     are tried only if the best set of two does not explain the measurement (`UNEXPLAINED`).

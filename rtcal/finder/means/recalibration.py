@@ -159,9 +159,10 @@ _TIMES = LinearObservations("ln T")
 
 
 def plain(case: Case) -> Recalibrated:
-    """Return a calibration without effects that gives exactly T20 of the first configuration.
+    """Return a calibration to T20 of the first configuration, with a model that has no effects.
 
-    In a band whose T20 no alpha gives, the nearest possible T20 is used.
+    The calibrated model has exactly this T20, or the nearest possible T20 in a band in which no alpha
+    gives it.
     """
     case.require_fresh()
     case, equation = replace(case, applied=()), mean_equation(case.equation)
@@ -200,10 +201,9 @@ def recalibrate(
     case : Case
         Case whose room is calibrated, for example `Corrected.case`.
     discrepancy : ModelDiscrepancy, optional
-        Error of the model from reference rooms, as `Finding.discrepancy` has it; its bias is
-        subtracted.
+        Error of the model, `Finding.discrepancy`; its bias is subtracted from the measurement.
     left_out : sequence of int
-        Numbers of configurations that are predicted and not calibrated to; the first one must not be.
+        Numbers, from 0, of configurations whose T is predicted and not used; 0 must not be among them.
 
     Raises
     ------
@@ -245,12 +245,11 @@ def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) ->
 
 @dataclass(frozen=True, eq=False)
 class LogTimes:
-    """Hold ln T of a case's configurations, as an observation of its coefficients.
+    """Hold ln T of a case's configurations, to which its coefficients are calibrated.
 
-    The unknown coefficients are those of the room, followed by those of materials that configurations
-    change. ``fitted`` are the numbers of the configurations that are calibrated to. ``measured``
-    (n_fitted, n_bands) is ln T minus the model's bias, NaN where T is missing, and ``u`` its standard
-    deviation.
+    ``fitted`` are the numbers of the configurations that are used. ``measured`` (n_fitted, n_bands) is
+    ln T minus the model's bias, NaN where T is missing, and ``u`` its standard uncertainty. The unknown
+    coefficients are those of the room, followed by those of materials that configurations change.
     """
 
     case: Case

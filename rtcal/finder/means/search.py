@@ -126,19 +126,19 @@ def find(
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
     prior : mapping of str to float, optional
-        Prior odds of effects relative to other effects, instead of their own: ``{"opening": 2.0}``.
-        "none" has the odds that nothing is missing, "coefficients" the odds of a common error of the
-        coefficients. If ``most`` is above 1, the number of missing effects has a Poisson distribution,
-        and the odds of "none" give its mean, which is 0.7 by default.
+        How probable an effect is before the measurement, relative to a usual effect, in place of its
+        own value: ``{"opening": 2.0}``. "none" has the odds that nothing is missing, "coefficients" the
+        odds that all coefficients have an error in common. If ``most`` is above 1, the number of
+        missing effects has a Poisson distribution, whose mean is 0.7 or follows from the odds of
+        "none".
     effects, without, only, controls, cache, progress, scheduler
         As `rtcal.find` takes them; ``without`` may contain "coefficients" and "unknown".
 
     Raises
     ------
     DataError
-        For reference rooms of a single simulator, or of another case; if the room was already
-        calibrated to one of the case's T; for an effect that breaks a rule, which the message names; if
-        ``most`` is not from 1 to 3.
+        If ``controls`` are of a single simulator or of another case; if the room was already calibrated
+        to one of the case's T; if an effect breaks a rule; if ``most`` is not from 1 to 3.
 
     Examples
     --------
@@ -407,12 +407,11 @@ AT_END = 2.0
 def estimate_size(
     evidence: MeansEvidence, name: str, *, precise: bool = True
 ) -> tuple[Parameters, Size | None]:
-    """Return the effect's most probable parameters, and its size with a 90 % interval.
+    """Return the most probable parameters of the effect ``name``, and its size with a 90 % interval.
 
-    ``name`` is the effect's name. If ``precise`` is False, the parameters are the best set of the grid,
-    and the size is evaluated in wide steps. If it is True, a search improves this set, and the size is
-    evaluated in fine steps, also for the three most probable sets of the other parameters. The size is
-    None for an effect that has none.
+    If ``precise`` is False, the parameters are the best of those that were tried, and the size is
+    evaluated in wide steps. If it is True, a search improves them, and the size is evaluated in fine
+    steps. The size is None for an effect that has none.
     """
     problem = evidence.problem
     predicted, base = problem.predicted, state(problem.case, problem.case.configurations[0])
@@ -601,11 +600,10 @@ def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
     """Return a doubt if measured T is about twice or half the model's T; None otherwise.
 
     Most mistakes of this size are wrong input: units of T, volume, areas or coefficients. They change T
-    by a factor that is alike in all bands, and the other parameters change with T. If the effect
-    ``name`` explains the data better than such a factor, its group remains identified. The result is
-    also None if the effect explains them better than other units of T do, and if decay shape, level or
-    the other configurations show the effect by themselves. Examples are a noise floor, which may make T
-    six times as long, and a decay shape that no wrong volume gives.
+    by the same factor in all bands. If the effect ``name`` explains the data much better than such a
+    factor, the doubt leaves its group identified. The result is None if the effect explains the data
+    much better than wrong units of T, and if parameters that alpha cannot fit show the effect by
+    themselves. ``gap`` has the deviations of these parameters.
     """
     problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]
@@ -635,9 +633,10 @@ _DRAWS = 64
 class GapCheck:
     """Hold mean absolute deviations of parameters that alpha cannot fit, without and with an effect.
 
-    ``before`` and ``after`` are in JND, NaN if none of these parameters was measured. ``uncertainty``
-    is the standard deviation of ``after`` minus ``before`` by the errors of measurement and model.
-    ``predictive`` is the ln Bayes factor of the effect from these parameters, given the fitted T20.
+    The deviations ``before`` (without the effect) and ``after`` (with it) are in JND, NaN if none of
+    these parameters was measured. ``uncertainty`` is the standard deviation of ``after`` minus
+    ``before``, from errors of measurement and model. ``predictive`` is the ln Bayes factor of the
+    effect from these parameters, given the fitted T20.
     """
 
     before: float
@@ -659,11 +658,10 @@ def gap_check(
     candidate: Candidate,
     held: NDArray[np.bool_] | None = None,
 ) -> GapCheck:
-    """Return the deviations in JND without an effect and with a candidate's effect.
+    """Return the deviations of features that alpha cannot fit, without and with a candidate's effect.
 
-    The effect must be among those of ``problem``. ``held`` (n_used,) are the features that are
-    compared; None means all that alpha cannot fit. The ln Bayes factor is that of these features, given
-    the others.
+    ``problem`` must have the effect. ``held`` (n_used,) is a mask of the features (ln T20, C80 and
+    others) that are compared; None means all but T20 of the first configuration.
     """
     problem, last = _with_candidate(problem, candidate)
     c, f, _ = problem.places
