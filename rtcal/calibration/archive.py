@@ -163,12 +163,12 @@ class Evidence:
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
     def plausible(self, spread: Spread) -> list[Spread]:
-        """Return equally weighted spreads around the fitted one, which scatter by its uncertainty.
+        """Return twelve equally weighted spreads that represent the uncertainty of the fitted spread.
 
-        ``spread`` is the fitted one, as `fitted` returns it: the standard deviations within and between
-        rooms. The posterior density of its six numbers is approximated by a normal density with the
-        same curvature. Two spreads lie along each axis of this density, so that the twelve spreads have
-        its mean and covariance (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
+        ``spread`` is the fitted one, as `fitted` returns it: six numbers, of which five are standard
+        deviations within and between rooms. Their posterior density is approximated by a normal density
+        with the same curvature. Two spreads lie along each axis of this density, so that the twelve
+        have its mean and covariance (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
         """
         centre, size = _point(spread), len(_CENTRE)
         steps = _STEP * np.eye(size)
@@ -201,10 +201,10 @@ class Evidence:
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return mean and covariance of the coefficients that rooms have in common, given the rooms' T.
 
-        The means (n_materials, n_bands) are mu + d + h mu in the model of this module. The covariance
-        has n_materials * n_bands rows and columns. ``spread`` has the standard deviations within and
-        between rooms. ``rows`` (n_data,) is True for each datum that is used; a datum is the absorption
-        area of one room, configuration and band.
+        The coefficients are handbook values plus the errors that these values have in all rooms. Their
+        means are (n_materials, n_bands); their covariance has n_materials * n_bands rows and columns.
+        ``spread`` has the standard deviations within and between rooms. ``rows`` (n_data,) is True for
+        each datum that is used: the absorption area of one room, configuration and band.
         """
         n, k = self.mu.shape
         correlation = self.correlation(spread)
@@ -310,9 +310,9 @@ class Archive(Result):
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
         """Return a room with the archive's coefficients and sigmas for the materials that it has.
 
-        A material that is not in the archive keeps its coefficients times the factor that all tables
-        have in common, unless they are exact or from an archive. A material whose input coefficients
-        differ too much from the archive's keeps its coefficients, unless it is in ``names``. Bands that
+        The coefficients of a material that is not in the archive are multiplied by the factor that all
+        handbook values have in common, unless they are exact or from an archive. A material whose input
+        differs too much from the archive's keeps its input, unless it is in ``names``. Bands that
         the archive lacks do not change. ``common_alpha_sigma`` of the room becomes the standard
         deviation between rooms, and coefficients are at least ``alpha_min``. A later calibration of the
         room to T from which the archive was learned raises an error.
@@ -577,9 +577,9 @@ def learn(
     """Return an archive of the absorption coefficients that calibrated rooms have in common.
 
     A coefficient of a material in a room is modelled as the material's mean, a deviation in this room,
-    and a factor of the room (`rtcal.calibration.archive`). How much materials differ between rooms, and
-    how wrong tables are, is estimated from all rooms together. Only the rooms' input coefficients and
-    measured T count, not how they were calibrated. Nothing leaves the machine without ``scheduler``.
+    and a factor of the room. How much materials differ between rooms, and how wrong handbook values
+    are, is estimated from all rooms together. Only the rooms' input coefficients and measured T count,
+    not how the rooms were calibrated. Nothing leaves the machine without ``scheduler``.
 
     Parameters
     ----------

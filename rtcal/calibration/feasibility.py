@@ -102,15 +102,15 @@ def restrict_to_reach(
 ) -> tuple[Numbers, NDArray[np.int8], tuple[Unreachable, ...]]:
     """Check whether coefficients can reach every matched T, and return numbers that can be solved.
 
-    The first of three results is ``numbers``, the values of room and measurement, with each unreachable
-    absorption area b replaced by the nearest reachable one. The second (size,) is -1 or 1 for an
-    unknown that must be at its lower or upper bound, because b is at an end of the reachable range, and
-    0 for all others. The third has the unreachable bands.
+    The first of the three results is ``numbers``, the values of room and measurement, with each
+    unreachable absorption area b replaced by the nearest reachable one. The second (size,) is -1 or 1
+    for an unknown that must be at its lower or upper bound, because b is at an end of the reachable
+    range, and 0 for all other unknowns. The third has the unreachable bands.
 
     Each item of ``matches`` has the least and the largest absorption area in m² that one constraint on
     T allows, (n_configurations, n_bands) each. ``unreachable`` is "raise" or "nearest": with "raise" an
-    unreachable band raises InfeasibleError, which has the bands. If no constraint matches T, a T that
-    is shorter than full absorption gives raises it too.
+    unreachable band raises InfeasibleError, which has the bands. If ``matches`` is empty, the error is
+    also raised for a T shorter than that of full absorption.
     """
     times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
     none_held = np.zeros(numbers.layout.size, dtype=np.int8)

@@ -335,11 +335,11 @@ class _Part:
 
 
 def draws(density: Density, number: int = 1024, seed: int = 0) -> list[Draws]:
-    """Return random draws and quantiles of unknowns, for each group that is independent of the others.
+    """Return random draws and quantiles of unknowns, for each independent group of unknowns.
 
-    ``number`` is the number of draws, a power of two; a group with a stated sum has twice as many.
-    ``seed`` is that of the random numbers. Raises ModelError for more than 2,000 unknowns, and
-    SolverError if no draw is within the constraints.
+    ``number`` is the number of draws, a power of two; it is doubled for a group of which ``density``
+    states a sum. ``seed`` is that of the random numbers. Raises ModelError for more than 2,000
+    unknowns, and SolverError if no draw is within the constraints.
     """
     parts = _parts(density)
     pieces = [(i, *piece) for i, part in enumerate(parts) for piece in _pieces(part, number, seed)]

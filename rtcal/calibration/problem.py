@@ -447,8 +447,8 @@ class ModelObjective:
         """Return the objective, a negative logarithm of probability, for given coefficients.
 
         ``alpha`` (n_materials, n_bands) are the coefficients, and ``residual`` (n,) is the measured
-        values less the model's values for them. The objective is infinite where the coefficients
-        violate a bound or a constraint.
+        values minus the model's values. The objective is infinite if the coefficients violate a bound
+        or a constraint.
         """
         white = solve_triangular(self.factor, residual, lower=True)
         layout, u = self.others.layout, self.answer.joint.unknowns.copy()
@@ -486,7 +486,7 @@ def fit(
     coefficients before the first step, and ``most`` is the largest number of steps. ``times`` is the
     measured T for the problem's other terms, None if these use no T. ``method`` is the name of the
     method in the result. ``covariance`` (n, n) replaces that of the data in each calibration, but not
-    in the objective; None if it does not. ``allowed`` returns whether the fit may end at given
+    in the objective; None replaces nothing. ``allowed`` returns whether the fit may end at given
     coefficients. ``settled`` returns whether a step, given with the coefficients after it, is the last;
     by default a step is the last if no coefficient changes by more than `SETTLED` of its prior sigma.
     Raises InfeasibleError and SolverError for the reasons of `CalibrationProblem.solve`.

@@ -370,7 +370,7 @@ class JointResult(Result):
 
     @cached_property
     def innovation(self) -> tuple[Array, Array]:
-        """Absorption area that T needs less that of the input coefficients, and its covariance.
+        """Absorption area that T needs minus that of the input coefficients, and its covariance.
 
         The difference b - S'mu in m² is (n_configurations * n_bands,), NaN in a band without a match.
         Its covariance in m⁴ is S'KS + U. K is the covariance of the input coefficients, from the room's

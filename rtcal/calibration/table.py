@@ -365,9 +365,9 @@ class CalibrationVerdict(NamedTuple):
 def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return the statement of a calibration on whether model and measurement agree.
 
-    The first reason that applies decides: a likely typing error; a calibration that does not use T; a
-    deviation that remains after the calibration; and last how well the measured T agrees with the input
-    coefficients. This agreement stays "open" if a caution is about the whole room or all bands.
+    The first that applies decides: a likely typing error; a calibration that does not use T; a
+    deviation that remains after the calibration; else the agreement of the measured T with the input
+    coefficients. The level is "open" in place of "agrees" if a caution is about all bands or the room.
     ``record`` is the calibration as `rtcal.calibration.CalibrationResult.to_dict` returns it.
     """
     marks = record["trust_marks"]
