@@ -32,10 +32,10 @@ STEEPEST = 0.98
 
 @dataclass(frozen=True)
 class Decay:
-    """Hold the energy density after a pulse of unit energy: the sum of ``weights`` exp(-``rates`` t).
+    """Hold the energy density after a pulse of unit energy, as a sum of exponential decays.
 
-    ``weights`` in 1/m³ and ``rates`` in 1/s are (n_bands, n_terms) arrays; for n rooms they are (n,
-    n_bands, n_terms).
+    It is the sum of ``weights`` exp(-``rates`` t), with ``weights`` in 1/m³ and ``rates`` in 1/s, both
+    (n_bands, n_terms), or (n, n_bands, n_terms) for n rooms.
     """
 
     weights: Array
@@ -56,7 +56,7 @@ def volume_sigma_of(room: Room) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RoomState:
-    """Hold the acoustic data of a room in one configuration, from which T20, C80 and G are predicted.
+    """Hold the acoustic data of a room, from which T20, C80 and G are predicted.
 
     Attributes
     ----------
@@ -70,7 +70,8 @@ class RoomState:
     equation : str
         Key of a `MeanEquation`.
     covering : array (n_bands,)
-        Contribution of panels and openings to the equation's sum of S_i h(alpha_i), in m².
+        Contribution of panels and openings to the equation's sum of S_i h(alpha_i), in m²; for Eyring's
+        equation h(alpha) = alpha.
     objects : array (n_bands,)
         Absorption area of free-standing objects in m².
     floor_db : float
@@ -78,8 +79,7 @@ class RoomState:
     direct_db : float
         Level of the direct sound relative to that of an omnidirectional source.
     shape : optional
-        Function that returns the `Decay` of the state; its ``together`` returns one of many states and
-        their shapes. None means a single exponential decay.
+        Function that returns the `Decay` of the state; None means a single exponential decay.
     """
 
     volume: float
@@ -143,9 +143,10 @@ class RoomState:
 
     @property
     def rate(self) -> Array:
-        """Decay rate k of the energy in 1/s, (n_bands,), with T = 6 ln 10 / k.
+        """Decay rate k of the energy in 1/s, (n_bands,), from which T = 6 ln 10 / k.
 
-        k = c (S a + 4 m V + A_objects) / 4 V, with the mean absorption exponent a of the surfaces S.
+        k = c (S a + 4 m V + A_objects) / 4 V, with the area S of all surfaces and their mean absorption
+        exponent a.
         """
         return np.asarray(rates([self])[0])
 
@@ -164,10 +165,10 @@ class RoomState:
 
 
 def covered(states: Sequence[RoomState], areas: Array, spectra: Array) -> list[RoomState]:
-    """Return each state with an area of its walls replaced by a cover.
+    """Return each state of a room with an area of its walls replaced by a cover.
 
     ``areas`` (n,) are the areas in m², and ``spectra`` (n, n_bands) the alpha of the covers, one for
-    each of the n states.
+    each of the n ``states``.
     """
     out = list(states)
     for equation, where in _by_equation(states):
@@ -229,9 +230,10 @@ def speeds(states: Sequence[RoomState]) -> Array:
 
 
 def rates(states: Sequence[RoomState]) -> Array:
-    """Return the decay rates k of the energy in 1/s in many states of one room, (n, n_bands).
+    """Return the decay rates k of the energy in 1/s in n states of one room, (n, n_bands).
 
-    k = c (S a + 4 m V + A_objects) / 4 V: see `RoomState.rate`.
+    k = c (S a + 4 m V + A_objects) / 4 V, with the area S of all surfaces and their mean absorption
+    exponent a.
     """
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
@@ -374,11 +376,11 @@ _ORDER = 5
 
 @dataclass(frozen=True)
 class DirectionalDecay:
-    """Describe the decay of a box in each direction, for walls with this scattering coefficient s.
+    """Describe the decay of a box in each direction, for walls with the scattering coefficient s.
 
-    dE(u)/dt = -r(u) E - nu (E - <E>), with r(u) = c sum_i |u_i| A_i / 2V over the axes, A_i the
-    absorption area of the walls that face along axis i, and nu = s c S / 4V; after Nilsson 2004 and EN
-    12354-6, D.
+    The energy density E(u) in the direction u, and its mean <E> over directions, follow dE(u)/dt =
+    -r(u) E - nu (E - <E>). r(u) = c sum_i |u_i| A_i / 2V over the axes i, where A_i is the absorption
+    area of the walls across axis i, and nu = s c S / 4V (after Nilsson 2004 and EN 12354-6, D).
     """
 
     scattering: float

@@ -64,11 +64,11 @@ def stored() -> Mapping[str, Any]:
 def record_of(*kind: str) -> dict[str, Share]:
     """Return how often findings from one kind of data were right, in rooms with known answers.
 
-    ``kind`` are the keys of this kind in the table `FILE`. "detected" is the number of rooms in which
-    something was detected, out of those in which something was hidden. "flagged" is the same for rooms
-    in which nothing was hidden. Every other entry is the number of right answers out of all answers of
-    this type. An "ambiguous" set of effects is right if it contains the true effect. A "surface" is the
-    most probable surface of an absorber that was detected, whether or not it was identified.
+    ``kind`` are the keys of the kind of data in the table `FILE`. "detected" is the share of rooms with
+    something missing in which it was detected, and "flagged" the share of rooms with nothing missing in
+    which something was detected. All other entries are shares of right answers, by the verdict or
+    "surface". The verdict "ambiguous" is right if the true effect is among the candidates; "surface" is
+    the most probable surface of a detected absorber.
     """
     table = stored()
     for key in kind:
@@ -78,7 +78,7 @@ def record_of(*kind: str) -> dict[str, Share]:
 
 
 def data_of(case: Case) -> str:
-    """Return the name of the kind of data that a case has, one of three.
+    """Return the name of the kind of data that a case has, as the records of right answers use it.
 
     >>> import rtcal as rt
     >>> data_of(rt.datasets.hidden_room()[0])
@@ -91,8 +91,8 @@ def data_of(case: Case) -> str:
 
 
 def statement_of(room: Room) -> str:
-    """Return `IN_SITU` or `HANDBOOK`: the kind of coefficients that the room's input sigma resembles.
+    """Return "from a handbook" or "measured in situ", as a room's input sigma suggests.
 
-    The decision is by `rtcal.finder.evidence.relative_sigma`, which is 1 for a handbook.
+    It is "from a handbook" if `rtcal.finder.evidence.relative_sigma` is above 0.95.
     """
     return HANDBOOK if relative_sigma(room) > 0.95 else IN_SITU

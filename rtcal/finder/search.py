@@ -59,25 +59,23 @@ def find(
         is missing from the model (`rtcal.finder.states`), and does not use the room's coefficients.
         ``controls``, ``cache``, ``progress`` and ``scheduler`` cannot be given with it.
     simulated : Run, optional
-        Values of a simulation program, with the coefficients that it used. These values replace the
-        results of the equation, which then only gives their change with coefficients and effects, so
-        that errors of the equation are not taken for errors of the room.
+        Values of a simulation program, with the coefficients that it used. They are compared with the
+        measurement in place of the equation's results, so that errors of the equation are not taken for
+        errors of the room. The equation then only gives their change with coefficients and effects.
     program : {"", "geometrical"}
-        Kind of this program, for means over positions. A geometrical program uses no equation, and
-        simulates uneven sound fields, and a second room that you drew. A difference that only these
-        effects explain is not reported as an error of the room's model.
+        Kind of the simulation program, for means over positions. A geometrical program simulates uneven
+        sound fields, and a second room that you drew. A difference that only these effects explain is
+        then not reported as an error of the room's model.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, if rtcal traces the room's
         mesh and you give no ``simulator``.
     seed : int
-        Seed of the random numbers at positions and for two states. For means over positions it has no
-        effect, because the random numbers of their reference rooms are fixed.
+        Seed of the random numbers; without effect for means over positions.
     **options
-        - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. At
-          positions, an effect on surfaces is tried on each surface (`Effect.stands_on`). For two
-          states, the spectra of effects that add absorption are tried, as added and as removed.
-        - ``only``, ``without``: names of the effects to try alone, or to leave out; for two states also
-          "air" for the climate and "unknown" for a spectrum that no effect has.
+        - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. With
+          ``before``, those that add absorption are tried, as added and as removed.
+        - ``only``, ``without``: names of the effects to try alone, or to leave out. With ``before``
+          also "air" for the climate and "unknown" for a spectrum that no effect has.
         - ``controls``: `ControlRuns`, or a sequence of `ControlRooms`; the model's error from an
           earlier search, which is otherwise simulated.
         - ``cache``: folder in which simulations are kept for the next search.
@@ -94,7 +92,8 @@ def find(
     ------
     DataError
         If a room is given without ``measured``, or a case with it; for an unknown effect, an option
-        that does not apply to these data, or too few pairs; and as the cases do.
+        that does not apply to the data, or too few pairs; and as `rtcal.finder.Case` and the other
+        cases do.
 
     Examples
     --------

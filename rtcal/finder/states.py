@@ -101,14 +101,21 @@ _INTERVAL = (0.05, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Hold the possible changes between two states: none, or a spectrum of some size added or removed.
+    """Hold the possible changes between two states of a room: none, or absorption added or removed.
 
-    Each change is tried with the same climate in both states, and with different climates. ``names``
-    and ``families`` are those of the n changes and of their groups. ``log_weight`` (n,) are log prior
-    probabilities, whose probabilities sum to 1. ``size`` (n, n_bands) is an absorption area in m²
-    before saturation, above 0 where T is shorter in the second state, and 0 where nothing changed.
-    ``covariance`` (n, n_bands, n_bands) is that of the error of ln |size|. ``of_air`` (n,) is whether
-    the climate differs.
+    Attributes
+    ----------
+    names, families : tuple of str (n,)
+        Names of the changes, such as "added porous", and of their groups.
+    log_weight : array (n,)
+        Log prior probabilities.
+    size : array (n, n_bands)
+        Change of the absorption area in m², before saturation (`Baseline.after`); above 0 where T is
+        shorter in the second state.
+    covariance : array (n, n_bands, n_bands)
+        Covariance of the error of ln |size|.
+    of_air : array (n,) of bool
+        Whether the climate differs between the states, too.
     """
 
     names: tuple[str, ...]
@@ -128,11 +135,12 @@ class Hypotheses:
         without: Collection[str],
         more: str,
     ) -> Hypotheses:
-        """Return the possible changes of a room with an absorption area ``before`` in m², by band.
+        """Return the possible changes of a room, each as added and as removed absorption.
 
-        ``where`` (n_bands,) are the bands with T in both states, and ``effects`` those whose spectra
-        are tried. ``without`` are names of `tried` that are left out. ``more`` is the word for a size
-        above 0: "added" or "removed".
+        ``before`` is the absorption area in m² of the first state, in the bands in which ``where``
+        (n_bands,) is True: those with T in both states. ``effects`` are those whose spectra are tried,
+        and ``without`` the names of changes that are left out. ``more`` is the word for a shorter T,
+        "added" or "removed".
         """
         area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
@@ -228,12 +236,11 @@ KINDS = {
 
 
 def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
-    """Return the covariance (n_bands, n_bands) in m⁴ of the difference of the air's absorption 4 m V.
+    """Return the covariance in m⁴ of the difference of the air's absorption 4 m V between two climates.
 
-    The climates of the two states are independent and normally distributed about the input climate,
-    with the ``uncertainty`` in K and in % of relative humidity. Without an input climate, both are any
-    indoor climate (`INDOORS`). The covariance is therefore twice that of one state, which is integrated
-    numerically over the climates.
+    The shape is (n_bands, n_bands). Both climates are normally distributed about the room's climate,
+    with the ``uncertainty`` in K and in % of relative humidity. If the room has no climate, each is any
+    indoor climate (`INDOORS`).
     """
     if room.air is None:
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
@@ -264,12 +271,12 @@ _NODES = 4
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Hold the absorption of the room before a change, in the bands in which both states were measured.
+    """Hold the absorption of a room before a change, in the bands in which both states were measured.
 
-    ``area`` (n_bands,) is the absorption area of the surfaces in m², which the equation gives for T
-    before the change. ``air`` (n_bands,) is the absorption 4 m V of the air in m². ``climate``
-    (n_bands, n_bands) is the covariance of ln T by a difference of climate, at the mean of ln T of both
-    states.
+    ``area`` (n_bands,) is the absorption area of the surfaces in m², which the ``equation`` gives for T
+    before the change. ``total_area`` is the area of all surfaces in m². ``air`` (n_bands,) is the
+    absorption 4 m V of the air in m². ``climate`` (n_bands, n_bands) is the covariance of the change of
+    ln T by a change of climate.
     """
 
     equation: LinearEquation
@@ -280,9 +287,10 @@ class Baseline:
 
     @classmethod
     def of(cls, case: StatesCase, times: Array) -> Baseline:
-        """Return the baseline of a case from T in s of the first and the second state, (2, n_bands).
+        """Return the absorption of a case's room before a change.
 
-        Raises InfeasibleError if no coefficients give T of the first state.
+        ``times`` (2, n_bands) are T in s before and after the change. Raises InfeasibleError if no
+        coefficients give T before the change.
         """
         room, where = case.room, case.known
         area = case.equation.absorption_area(room, np.where(where, times[0], np.nan))[where]
@@ -293,21 +301,22 @@ class Baseline:
         return replace(made, climate=of_air / np.outer(whole, whole))
 
     def after(self, size: Array) -> Array:
-        """Return the absorption area of the surfaces after a change of a given size, (..., n_bands).
+        """Return the absorption area of the surfaces in m² after a change, (..., n_bands).
 
-        All areas are in m². With the area b before and the area S of all surfaces, what is added covers
-        surfaces: b + (S - b) (1 - exp(-size / (S - b))). What is removed has a size below 0, and leaves
-        b exp(size / b). A small size changes the absorption area by the size itself.
+        ``size`` (..., n_bands) in m² is above 0 for added and below 0 for removed absorption. With the
+        absorption area b before the change and the area S of all surfaces, added absorption covers
+        surfaces: b + (S - b) (1 - exp(-size / (S - b))). Removed absorption leaves b exp(size / b). A
+        small change is therefore equal to its size.
         """
         left = self._left(size)
         covered = -np.expm1(-np.minimum(np.abs(size) / left, _MOST_COVERED))
         return np.asarray(self.area + np.sign(size) * left * covered)
 
     def shift(self, size: Array) -> tuple[Array, Array]:
-        """Return the change of ln T, and its derivative by ln |size|, both (..., n_bands).
+        """Return the change of ln T by a change of absorption, and its derivative by ln |size|.
 
-        ``size`` (..., n_bands) is the absorption area in m² that is added or, below 0, removed, before
-        saturation (see `after`).
+        Both are (..., n_bands). ``size`` (..., n_bands) is the absorption area in m² that is added or,
+        if below 0, removed (see `after`).
         """
         mean = self.after(size) / self.total_area
         whole, before = self.whole(mean * self.total_area), self.whole(self.area)
@@ -356,12 +365,11 @@ _MOST_AT_ONCE = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Hold how well each hypothesis fits at each scale of the noise, and the sizes that follow.
+    """Hold how well each change fits the data with each scale of the noise, and its best size.
 
-    ``log`` (n, n_scales) is the log probability density of the data, times the prior probability of
-    hypothesis and scale. ``mean`` (n, n_scales, n_bands) and ``covariance`` are those of the difference
-    of ln |size| from its value in the hypothesis. ``shift`` (n, n_scales, n_bands) is the mean change
-    of ln T by size and climate.
+    ``log`` (n, n_scales) is the log of the density of the data times the prior probability of change
+    and scale. ``mean`` (n, n_scales, n_bands) and ``covariance`` are those of ln(best size / size in
+    the hypothesis). ``shift`` (n, n_scales, n_bands) is the mean change of ln T by size and climate.
     """
 
     log: Array
@@ -373,10 +381,9 @@ class Fits:
 def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
     """Return the p-value of the mean change of ln T over the pairs if only the climate differs.
 
-    ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), and ``degrees`` those of `fits`. The
-    test is chi-square with one degree of freedom per band. Its covariance has parts of the climate, of
-    a repeated measurement, and of the pairs' noise, with the noise scale and the weights of the pairs
-    that make the data most probable. A pair counts at most as much as its noise allows.
+    ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), and ``degrees`` is the number of
+    degrees of freedom of their noise. The test is chi-square with one degree of freedom per band. Its
+    covariance consists of the climate, a repeated measurement, and the noise of the pairs.
     """
     n = change.shape[1]
     prior, best, inverse = baseline.climate + REMEASURED**2 * np.eye(n), -np.inf, variance
@@ -398,11 +405,11 @@ def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degree
 def fits(
     change: Array, variance: Array, baseline: Baseline, of: Hypotheses, degrees: float
 ) -> Fits:
-    """Return the log evidence of each hypothesis, with the size of the change that best fits it.
+    """Return the log evidence of each possible change, and the size of the change that fits best.
 
     ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), NaN where nothing was measured.
-    ``degrees`` of freedom of the noise are `DEGREES`, or `OF_MEANS` for means over positions. ``of``
-    are the hypotheses.
+    ``of`` are the possible changes, and ``baseline`` is the absorption before. ``degrees`` is the
+    number of degrees of freedom of the noise.
     """
     n, k = of.size.shape
     shape = n, len(SCALES)

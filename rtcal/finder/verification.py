@@ -227,12 +227,12 @@ class Verification(Result):
 
     @property
     def verdict(self) -> str:
-        """Result in one word, such as ``supported``: the deviation decreases by more than `needed`.
+        """Result in one word: "supported", "withdrawn", "unproven" or "not tested".
 
-        ``supported`` also requires that there are no `objections`. ``withdrawn`` means that the
-        deviation grows. ``unproven`` means that the deviation changes by less than `needed`, or that
-        there are `objections`. ``not tested`` means that no data could be held out, or that calibration
-        alone leaves a deviation so small that a second run cannot support the finding.
+        "supported": the deviation decreases by more than `needed`, and there are no `objections`.
+        "withdrawn": the deviation grows by more than `endured`. "unproven": it does neither, or there
+        are objections. "not tested": no data could be held out, or calibration alone leaves a deviation
+        so small that a second run of your program cannot support the finding.
         """
         if np.isnan(self.before):
             return "not tested"
@@ -275,11 +275,10 @@ class Verification(Result):
 
     @property
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
-        """Different effects that were found from halves of the pairs, and whether their group differs.
+        """Other effects that halves of the pairs found, and whether these effects contradict the finding.
 
-        An effect counts as the same if its group is the same, with all added absorption as one group.
-        If a surface is identified, the effect must also be on that surface, or on one that these
-        positions do not distinguish from it.
+        They do if their group is another one, with all added absorption as one group, or if the finding
+        identifies a surface and they are on one that these positions distinguish from it.
         """
         found = self.finding.likeliest if self.added else None
         if found is None:
@@ -337,32 +336,32 @@ class Verification(Result):
 
 
 def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verification:
-    """Check whether an effect that was found also improves the model at data that were held out.
+    """Check whether the effect that was found improves the model at data that were held out.
 
     Parameters
     ----------
     finding : Finding
-        Result of `rtcal.find` that is checked.
+        Result of `rtcal.find`.
     case : Case, optional
         Case with further parameters or bands of the same configurations, which are then held out; for
         means only. By default parts of the finding's case are held out in turn.
     **options
-        For means: ``effect``, the name of a candidate in place of the most probable one. With a
-        program's run also ``simulated``, the program's values for the corrected model, in the first
-        configuration. Both runs are scaled by the equation to the measured T, unless you give
-        ``calibrated``, the program's values for the model that was calibrated without the correction.
-        At positions: ``seeds`` of the simulator, whose spread shows its noise, and ``cache``,
-        ``progress`` and ``scheduler`` as for `rtcal.find`. For two states: measurements ``before`` and
-        ``after`` with further pairs, which the finding then predicts, and the ``seed`` of the random
-        numbers.
+        If means were compared: ``effect``, the name of a candidate in place of the most probable one.
+        If a program's values were given to `rtcal.find`, also ``simulated``, the program's values for
+        the corrected model in the first configuration, and ``calibrated``, its values for the model
+        that was calibrated without the correction; without ``calibrated``, the equation scales the
+        program's values to the measured T. If positions were compared: ``seeds`` of the simulator,
+        whose spread shows its noise, and ``cache``, ``progress`` and ``scheduler`` as for `rtcal.find`.
+        If two measurements of the room were compared: measurements ``before`` and ``after`` with
+        further pairs, which the finding then predicts, and the ``seed`` of the random numbers.
 
     Raises
     ------
     DataError
         If the finding has no effect to add, or two or more; for fewer than four pairs, or fewer than
-        two new ones; if one of two states is missing, or ``case`` has other configurations or bands;
-        for an option that does not apply to this finding; for runs with a finding that has none; if the
-        second run equals the first; if ``effect`` is not a candidate.
+        two new ones; if only one of ``before`` and ``after`` is given; if ``case`` has other
+        configurations or bands; if ``simulated`` equals the first simulation; if ``effect`` is not a
+        candidate; for an option that does not apply to the finding.
 
     Examples
     --------
@@ -665,11 +664,11 @@ def of_means(
 ) -> Verification:
     """Return the verification of a finding by deviations of means over positions.
 
-    ``gaps`` are simulated minus measured values in JND, and ``counted`` which of them count.
-    ``uncertainty`` is the standard uncertainty in JND by the measurement, the model and the effect's
-    size. ``predictive`` is the ln Bayes factor of the effect from the held-out data. ``misses`` are the
-    bands whose T the corrected model does not reproduce, and ``held_out`` the names of the held-out
-    data. ``before`` and ``after`` are the calibrations without and with the effect.
+    ``gaps`` are simulated minus measured values in JND, and ``counted`` is True for those that count.
+    ``uncertainty`` is their standard uncertainty in JND. ``predictive`` is the ln Bayes factor of the
+    effect from the held-out data, whose names are ``held_out``. ``misses`` are the bands whose T the
+    corrected model does not reproduce. ``before`` and ``after`` are the calibrations without and with
+    the effect.
     """
     configurations = after.case.configurations
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
@@ -741,12 +740,12 @@ def reverberation_times(
 
 
 def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) -> Verification:
-    """Return the verification of a finding by deviations at held-out pairs.
+    """Return the verification of a finding by deviations at held-out source-receiver pairs.
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
-    JND, and ``said`` the remaining fields of the `Verification`. The standard error of the decrease has
-    parts from the pairs and, with two or more seeds, from the seeds. The decrease must be significant
-    in a one-sided Student's t test over the pairs, and at least `LEAST_SHRINKAGE`.
+    JND, and ``said`` the remaining fields of the `Verification`. The effect is supported only if it
+    reduces the deviations by `LEAST_SHRINKAGE` and significantly (one-sided Student's t test over the
+    pairs).
     """
     of_pairs = mean_of_known(np.abs(gaps), (2, 4))
     gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)
@@ -926,8 +925,8 @@ def at_positions(
     """Return the verification of a finding by the deviations at pairs that were not fitted.
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
-    JND at held-out pairs, for each of `MODELS`. ``added`` is the candidate that each half of the pairs
-    added to its model, None where it found no surface. ``halves`` are the pairs of each half.
+    JND, for each of `MODELS`. ``halves`` are the two halves of the pairs, and ``added`` is the
+    candidate that a fit to each half added to the model; None where it found no surface.
     """
     pairs, parameters = finding.pairs, finding.parameters
     measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)

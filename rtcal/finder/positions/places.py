@@ -25,8 +25,9 @@ _RIVALS = 3
 class Place:
     """Hold a proposed position for a further receiver: a ``point`` (x, y, z) in m.
 
-    The point is at the receivers' mean height. ``nats`` is the ln Bayes factor between the two most
-    probable surfaces that a measurement from the ``source`` to this point is expected to add.
+    ``nats`` is how much a measurement from the ``source`` to this point is expected to add to the ln
+    Bayes factor between the two most probable surfaces. The point is at the mean height of the
+    receivers.
     """
 
     point: tuple[float, float, float]

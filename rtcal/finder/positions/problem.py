@@ -119,12 +119,11 @@ ODDS = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sizes:
-    """Hold hypotheses of one effect in one place, with their ``sizes`` (n_hypotheses,) in ``unit``.
+    """Hold an effect in one place, with each of its possible ``sizes`` (n_sizes,) in ``unit``.
 
-    ``place`` is the name of the source, receiver or pair, or of the material whose coefficients have an
-    error. ``surface`` is the number of the surface, None for the whole room and for errors of the
-    measurement. ``odds`` (n_hypotheses,) are the prior odds of each size. Their sum over all surfaces
-    is the prior odds of the effect.
+    ``family`` is the effect's group. ``place`` is the name of a source, receiver, pair or material, if
+    the effect is an error of one. ``surface`` is the number of a surface; None for the whole room and
+    for errors of the measurement. ``odds`` (n_sizes,) are the prior odds of the sizes.
     """
 
     effect: str
@@ -169,11 +168,12 @@ class ShiftHypothesis(Sizes):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpreadHypothesis(Sizes):
-    """Hold hypotheses that the errors of some measured values are larger than assumed.
+    """Describe an error of the measurement that makes some measured values less certain than assumed.
 
-    The covariance of these values grows by ``scales**2 columns columns'``. ``rows`` are the numbers of
-    the values, by band, parameter and pair. ``columns`` (n_rows, n_errors) are their additional errors,
-    one standard deviation each. ``scales`` (n_hypotheses,) are factors on these errors.
+    ``rows`` are the numbers of these values, in the order of band, parameter and pair. ``columns``
+    (n_rows, n_errors) are their additional errors, one standard deviation each, and ``scales``
+    (n_sizes,) the factors on these errors for each of ``sizes``. The covariance of the values grows by
+    ``scales**2 columns columns'``.
     """
 
     family: str = MEASUREMENT
@@ -184,12 +184,12 @@ class SpreadHypothesis(Sizes):
 
 @dataclass(frozen=True, eq=False)
 class PositionsHypotheses:
-    """Hold all hypotheses as the rows of one table, with their prior probabilities.
+    """Hold all hypotheses of a search at positions as the rows of one table, with their probabilities.
 
-    The first three rows are "none", a common error of the coefficients, and an unknown effect. Then
-    follow each of ``spreads`` and each of ``shifts``, with each of its sizes. If ``unknown`` is True,
-    each of ``shifts`` follows once more, in combination with an unknown effect. ``off`` is the
-    probability of a common error of the coefficients.
+    The first three rows are "none", an error that all coefficients have in common, whose prior
+    probability is ``off``, and an unknown effect. Then follow the sizes of each of ``spreads`` (errors
+    of the measurement) and of each of ``shifts`` (effects). If ``unknown`` is True, the effects follow
+    once more, each in combination with an unknown effect.
     """
 
     shifts: Sequence[ShiftHypothesis]
@@ -231,11 +231,11 @@ class PositionsHypotheses:
 
 
 def towards(moved: Array, stated: Array) -> Array:
-    """Return the interpolation weights of the nodes `SHARES` for changes of alpha.
+    """Return the interpolation weights for changes of alpha between the changes that were simulated.
 
-    ``moved`` (..., n_bands) are the changes, and ``stated`` is the input alpha. A change is expressed
-    as a share of the way to alpha = 1 or, below 0, to a hard wall. The weights are (..., n_bands,
-    n_nodes).
+    ``moved`` (..., n_bands) are the changes of alpha, and ``stated`` is the input alpha. The simulated
+    changes are the n_nodes `SHARES` of the way to alpha = 1 or, below 0, to a hard wall. The weights
+    are (..., n_bands, n_nodes).
     """
     up = moved / np.maximum(1 - stated, 1e-6)
     down = moved / np.maximum(stated - HARD, 1e-6)
@@ -252,10 +252,10 @@ OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
 
 
 def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
-    """Return the weights that give a band's mean change of absorption, (n_parameters * n_pairs,).
+    """Return the weights that give the mean change of absorption in a band from its changed values.
 
-    The weights are applied to the changes of all parameters at all pairs. A weight is negative if the
-    parameter's linear scale falls as the absorption grows.
+    The shape is (n_parameters * n_pairs,), one weight for each of ``parameters`` at each pair. A weight
+    is negative if the parameter falls as the absorption grows.
     """
     rises = [1.0 if observable(name).rises else -1.0 for name in parameters]
     return np.repeat(rises, n_pairs) / (len(parameters) * n_pairs)
@@ -293,10 +293,7 @@ tables, and now and then by a factor of three."""
 
 
 def materials(case: PositionsCase) -> list[ShiftHypothesis]:
-    """Return the hypotheses that the coefficients of one material are wrong by a factor.
-
-    Each is an absorber on all surfaces of the material, with the material's own spectrum.
-    """
+    """Return, for each material, the hypotheses that its coefficients are wrong by a common factor."""
     room = case.room
     over_bands = bands.correlation(room.centre_frequencies, 0.7)
     density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
@@ -335,8 +332,8 @@ def stated_room(case: PositionsCase) -> RoomState:
 def whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
     """Return the hypotheses of an effect on the whole room: another climate, or another volume.
 
-    A room without an input climate gets air. Another volume means that all lengths of the geometry are
-    scaled; gross mistakes in a volume are not tried, because the geometry was traced.
+    ``effect`` is `OmittedAir` or `WrongVolume`. Another volume means that all lengths of the geometry
+    are scaled. Gross mistakes of the volume are not tried, because the geometry was drawn.
     """
     room, stated, f = case.room, stated_room(case), case.room.centre_frequencies
     nodes: Sequence[float]
@@ -467,12 +464,11 @@ def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
 
 
 def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[ShiftHypothesis]:
-    """Return the hypotheses of each surface, followed by the hypotheses of its parts.
+    """Return the hypotheses of effects on whole surfaces, and in addition on parts of these surfaces.
 
-    Of the odds of a size, the share `LOCATED` goes to the parts that are large enough, and the rest to
-    an effect that is spread over the surface. The odds of a surface therefore do not depend on the
-    number of its parts. A cover on an input absorber is a share of the whole surface and has no parts.
-    An aperture has no parts, either.
+    ``shifts`` are the hypotheses on whole surfaces. The share `LOCATED` of their prior odds goes to the
+    parts that are large enough, so that the odds of a surface do not depend on the number of its parts.
+    An effect that covers an input absorber, and an aperture, have no parts.
     """
     out = []
     for shift in shifts:
@@ -509,9 +505,9 @@ def spreads(
 ) -> list[SpreadHypothesis]:
     """Return the hypotheses of errors of the measurement: displaced positions, and noisy pairs.
 
-    ``measured`` are the measured pairs. ``moved`` has the changes of the values if a source or receiver
-    is displaced, by its name (`PairShifts`). ``errors`` (n_bands, n_parameters, n_pairs, n_bands,
-    n_parameters, n_pairs) is the covariance of the errors of simulator and measurement.
+    ``measured`` are the measured pairs. ``moved`` has, by the name of a source or receiver, the changes
+    of the values if it is displaced. ``errors`` (n_bands, n_parameters, n_pairs, n_bands, n_parameters,
+    n_pairs) is the covariance of the errors of simulator and measurement.
     """
     shape = errors.shape[:3]
     number = np.arange(math.prod(shape)).reshape(shape)
@@ -551,10 +547,10 @@ def spreads(
 
 
 class ScatteringLevels(NamedTuple):
-    """Hold the changes of all values if the room scatters more or less than assumed, (n, n_levels).
+    """Hold the changes of all values if the room scatters more or less than assumed.
 
-    The n values are ordered by band, parameter and pair. ``log_weights`` (n_levels,) are the log prior
-    probabilities of the levels of scattering.
+    ``shifts`` (n, n_levels) are the changes of n values, in the order of band, parameter and pair.
+    ``log_weights`` (n_levels,) are the log prior probabilities of the levels of scattering.
     """
 
     shifts: Array
@@ -567,14 +563,24 @@ Residuals = tuple[Array, Array]
 
 @dataclass(eq=False)
 class Likelihood:
-    """Compute the density of residuals (n,) under each hypothesis.
+    """Compute the probability density of measured minus simulated values (n,) under each hypothesis.
 
-    ``covariance`` (n, n) is that of all errors but those of the hypothesis. Values are ordered by band,
-    parameter and pair, and only the ``used`` ones (n,) were measured. ``nodes`` (n_bands, n_values,
-    n_nodes) are the changes of the values at the nodes of each response, between which they are
-    interpolated. ``uneven`` (n_values, n_columns) are deviations of single pairs, for a change of the
-    absorption by 1 (`uneven_columns`). ``amount`` (n_values,) are the weights that give this change
-    from the change of a band's values. ``levels`` are the changes with scattering.
+    Attributes
+    ----------
+    covariance : array (n, n)
+        Covariance of all errors that do not depend on the hypothesis. Values are ordered by band,
+        parameter and pair.
+    used : array (n,) of bool
+        Whether each value was measured.
+    nodes : mapping of str to array (n_bands, n_values, n_nodes)
+        Changes of a band's values by each simulated amount of an effect, between which they are
+        interpolated; by the name of the surface, part, material or other cause.
+    uneven : array (n_values, n_columns)
+        Deviations of single pairs, for a change of the absorption by 1 (`uneven_columns`).
+    amount : array (n_values,)
+        Weights that give the mean change of absorption from a band's changes (`uneven_amount`).
+    levels : ScatteringLevels
+        Changes if the room scatters more or less than assumed.
     """
 
     covariance: Array
@@ -741,16 +747,25 @@ def simulator_error(
     tracings: int,
     centre_frequencies: Array,
 ) -> Array:
-    """Return the covariance of the error of the mean of some tracings, (n, n).
+    """Return the covariance of the error of n values that are the mean of some tracings, (n, n).
 
-    The n values are all parameters, pairs and bands. The covariance has parts of the reference
-    simulations without their noise, of the scattering of the materials, and of the noise of the paths.
-    The error that all pairs have in common is increased to its assumed size.
+    The values are all parameters, pairs and bands. The covariance consists of the errors in reference
+    simulations, the uncertainty of scattering coefficients, and the noise of the paths.
 
-    ``noise`` (n_groups, n_parameters, n_pairs, n_bands) are the deviations of all groups of paths from
-    the mean of their tracing. ``scattering`` (n_parameters, n_pairs, n_bands, n_materials) are
-    derivatives by the log odds of each material's scattering coefficient, and ``scattering_noise``
-    their deviations, in the groups. ``tracings`` is the number of tracings.
+    Parameters
+    ----------
+    controls : ControlRuns
+        Errors in the reference simulations.
+    noise : array (n_groups, n_parameters, n_pairs, n_bands)
+        Deviations of groups of paths from the mean of their tracing.
+    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
+        Derivatives by the log odds of each material's scattering coefficient.
+    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
+        Deviations of these derivatives in each group of paths.
+    tracings : int
+        Number of tracings.
+    centre_frequencies : array (n_bands,)
+        Bands in Hz.
     """
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
@@ -792,10 +807,10 @@ _LEVELS = np.linspace(-2.4, 2.4, 9)
 
 
 def levels(traced: Array) -> ScatteringLevels:
-    """Return how all values change with scattering, with the prior of a calibration to all positions.
+    """Return how all values change if the whole room scatters more or less, as a mean over the pairs.
 
-    The change is the mean over the pairs. ``traced`` (n_bands, n_parameters, n_pairs, n_traced) has the
-    changes at the traced levels `TRACED`.
+    ``traced`` (n_bands, n_parameters, n_pairs, n_traced) has the changes at the levels of scattering
+    that were simulated, `TRACED`.
     """
     from scipy.interpolate import CubicSpline
 
@@ -808,10 +823,10 @@ def levels(traced: Array) -> ScatteringLevels:
 
 
 def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array) -> Array:
-    """Return the covariance of the values by unknown directivities of the sources, (n, n).
+    """Return the covariance of n values by unknown directivities of the sources, (n, n).
 
-    The n values are ordered by band, parameter and pair. ``nodes`` (n_bands, n_values, n_aims) are the
-    changes of the values with each directivity that `lobes` returns.
+    The values are ordered by band, parameter and pair. ``nodes`` (n_bands, n_values, n_aims) are their
+    changes with each possible directivity (`lobes`). ``frequencies`` (n_bands,) are in Hz.
     """
     n_bands, n_values, _ = nodes.shape
     of_source = np.array([source for source, _ in pairs] * (n_values // len(pairs)))
@@ -824,22 +839,23 @@ def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array)
 
 
 class PositionsProblem:
-    """Hold the problem of a search at positions: its data, their changes by each effect, their errors.
+    """Hold what a search at positions compares: the data, their changes by effects, and their errors.
 
     All n values are ordered by band, parameter and pair. Raises DataError if too little was measured.
 
     Attributes
     ----------
     residual : array (n,)
-        Measured minus simulated with the input coefficients, on the scales of `Observable.linear`; 0
-        where nothing was measured. ``used`` (n,) is whether each value was measured.
+        Measured minus simulated with the input coefficients, on a scale that is linear in the change of
+        absorption (`Observable.linear`); 0 where nothing was measured. ``used`` (n,) is whether each
+        value was measured.
     scale : array (n,)
-        Derivatives of these scales at the measured values, by which errors are multiplied.
+        Derivative of this scale at each measured value, by which errors are multiplied.
     moved : mapping of str to array (n_parameters, n_pairs, n_bands, n_displacements)
         Changes of the values if a source or receiver is displaced, by its name.
     alpha : array (n, n_unknowns)
-        Square root of the covariance of the values by coefficients, common errors of tables, and
-        climate. ``together`` (n, n_errors) is its part by common errors.
+        Square root of the covariance of the values by errors of coefficients and climate. ``together``
+        (n, n_errors) is its part by errors that coefficients have in common.
     measurement, simulator_error : array (n, n)
         Covariances of the errors of the measurement and of the simulator.
     aimed : array (n, n), optional
@@ -941,9 +957,11 @@ class PositionsProblem:
         self.measurement = reordered(measurement, stated.shape) * scales
 
     def likelihoods(self, sources: Array | float = 0.0) -> Likelihoods:
-        """Return the likelihoods with the input coefficients, with a common error, and of the unknown.
+        """Return the likelihood with the input coefficients, and those with larger errors.
 
-        ``sources`` is a further covariance by errors of the sources: `aimed` or one of `gains`.
+        The second result is a list for increasing errors that all coefficients have in common, the
+        third for increasing errors that no effect explains. ``sources`` is a covariance by errors of
+        the sources that is added, `aimed` or one of `gains`; 0 for none.
         """
         error = self.simulator_error
         base = self.alpha @ self.alpha.T + self.measurement + error + sources

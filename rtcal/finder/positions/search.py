@@ -149,9 +149,9 @@ def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual
 def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[float, float]:
     """Return the ln Bayes factors that something differs from the model, and that a pair is noisy.
 
-    ``posterior`` are the log weights of the hypotheses after the measurement. The first factor is
-    against "none" or a noisy pair, the second against "none". The first factor is 0 if no other
-    hypothesis is tried.
+    ``posterior`` are the log weights of the ``hypotheses`` after the measurement. The first factor is
+    against "nothing differs or a pair is noisy", and 0 if nothing else is tried. The second is against
+    "nothing differs".
     """
     none, noisy = posterior[0], np.array(hypotheses.by_row("effect")) == NOISE
     other = ~noisy
@@ -175,10 +175,10 @@ def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TE
 
 
 def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> float:
-    """Return the ln Bayes factor of another likelihood over this one, summed over all hypotheses.
+    """Return the ln Bayes factor of one likelihood over another, summed over all hypotheses.
 
-    ``other`` and ``evidence`` (n,) are the log evidences of the hypotheses by the other and by this
-    likelihood.
+    ``other`` (n,) are the log evidences of the hypotheses by the first likelihood, and ``evidence``
+    (n,) those by the second.
     """
     more, less = (logsumexp(weights(each, hypotheses)) for each in (other, evidence))
     return float(more - less + (other[0] - evidence[0]) / TEMPER)
@@ -187,10 +187,11 @@ def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> floa
 def with_families(
     posterior: Array, hypotheses: PositionsHypotheses, families: Mapping[str, float]
 ) -> Array:
-    """Return log weights of the hypotheses that include the probabilities of their groups by means.
+    """Return the log weights of hypotheses at positions, combined with the result from means.
 
-    ``families`` has the probability of each group of effects from means over positions, which is raised
-    to the power `MEANS_POWER` and multiplied (logarithmic pool, Genest & Zidek 1986).
+    ``posterior`` are the log weights at positions, and ``families`` the probabilities of groups of
+    effects from means over positions, by name. A weight is multiplied by the probability of the
+    hypothesis' group to the power `MEANS_POWER` (logarithmic pool, Genest & Zidek 1986).
     """
     least = [
         max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.by_row("family")
@@ -214,10 +215,10 @@ def evidence_of_means(
     cache: str | os.PathLike[str] | None = None,
     scheduler: str | None = None,
 ) -> Finding | None:
-    """Return the finding of `rtcal.find` from the means over positions.
+    """Return the finding from means over the positions of a case, or None.
 
-    None if means cannot be compared, because there is no T, or no T with a sufficiently small
-    uncertainty.
+    None means that means cannot be compared, because no T was measured with a sufficiently small
+    uncertainty. For ``effects``, ``cache`` and ``scheduler`` see `rtcal.find`.
     """
     try:
         return find_by_means(of_means(case), effects, cache=cache, scheduler=scheduler)
@@ -247,10 +248,12 @@ _SPACING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """Hold the probabilities of everything that may differ from the model; see `Finding`.
+    """Hold the probabilities of what may differ from the model, by effect, group and surface.
 
-    ``on_surfaces`` is the probability that something on a surface is missing, and ``unexplained`` that
-    of an unknown effect, alone or in combination with another effect.
+    ``candidates`` are effects in one place, the most probable first. ``probabilities``, ``families``
+    and ``surfaces`` are those of effects, groups of effects and surfaces, by name. ``on_surfaces`` is
+    the probability that something on a surface is missing, and ``unexplained`` that of an unknown
+    effect, alone or in combination with another effect.
     """
 
     candidates: tuple[Candidate, ...]
@@ -377,9 +380,9 @@ def find(
     progress: TaskProgress | None = None,
     scheduler: str | None = None,
 ) -> Finding:
-    """Return whether a room differs from its model, by which effect, and where; see `rtcal.find`.
+    """Find whether a room differs from its model, by which effect, and where.
 
-    ``only`` and ``without`` are names that `tried` returns.
+    The parameters are those of `rtcal.find`. ``only`` and ``without`` are names that `tried` returns.
     """
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)

@@ -40,12 +40,12 @@ Faces = NDArray[np.int64]
 def of_geometry(
     geometry: Polyhedron, stated: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, Faces]:
-    """Return the faces of each surface of a geometry, by the surface's name.
+    """Return the numbers of the faces of each surface of a geometry, by the surface's name.
 
-    By default a surface consists of the coplanar faces of one material, and has the name of its largest
-    face. ``stated`` gives the names of each surface's faces instead; all other faces then belong to no
-    surface. Raises DataError for a face that the geometry lacks, a face in two surfaces, or a surface
-    without a face.
+    By default a surface consists of the faces of one material in one plane, and has the name of its
+    largest face. If ``stated`` is given, it has the names of the faces of each surface; all other faces
+    then belong to no surface. Raises DataError for an unknown face, a face in two surfaces, or a
+    surface without a face.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
@@ -70,9 +70,10 @@ def of_geometry(
 
 
 def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
-    """Return a note on the surfaces that have faces with different names; "" without any.
+    """Return a note on the surfaces that consist of faces with different names; "" without any.
 
-    Names that differ only in their number belong to triangles of one wall, and are not noted.
+    ``surfaces`` has the numbers of the faces of each surface, by its name. Names that differ only in
+    their number are not noted.
     """
     said = []
     for name, faces in surfaces.items():
@@ -246,11 +247,10 @@ def patched(
 ) -> Polyhedron | None:
     """Return the geometry with a patch on one of its surfaces; None if the surface is too small.
 
-    The patch is a rectangle with the proportions of the surface's bounding rectangle. It is cut off at
-    the surface's edge and enlarged elsewhere, so that its ``area`` in m² is exact on a surface of any
-    outline. It lies in the plane of the largest of the surface's ``faces``, about its middle. If ``at``
-    (3,), the middle of the patch in m, is given, it lies in the nearest plane. Raises DataError if that
-    plane is farther than `NEAR` from ``at``.
+    The patch has the ``area`` in m², the ``material`` and the ``name``. It is a rectangle with the
+    proportions of the surface, cut off at the surface's edge. ``faces`` are the numbers of the
+    surface's faces, and ``at`` (3,) is the middle of the patch in m; None means the middle of the
+    largest face's plane. Raises DataError if the surface is farther than `NEAR` from ``at``.
     """
     from scipy.optimize import brentq
 

@@ -115,11 +115,12 @@ class Aperture:
         n_sources: int,
         rate: Array | None = None,
     ) -> Array:
-        """Return the decays with the second room, with more bins if the second room decays more slowly.
+        """Return the decays in the first room with the second room, from decays with an open aperture.
 
-        ``energy`` (n_pairs, n_bands, n_bins) are the decays with an opening instead of the aperture,
-        for all receivers of the first source, then of the next. ``bin_width`` is in s. ``rate``
-        (n_bands,) is the `decay_rate` of these decays in 1/s; None if it must be computed.
+        ``energy`` (n_pairs, n_bands, n_bins) are the decays from which no sound returns through the
+        aperture, for all receivers of the first source, then of the next. ``room`` is the first room,
+        and ``bin_width`` is in s. ``rate`` (n_bands,) is the `decay_rate` of ``energy`` in 1/s; None if
+        it must be computed. The result has more bins if the second room decays more slowly.
         """
         from scipy.signal import lfilter
 
@@ -168,10 +169,11 @@ _AT_ONCE = 8
 
 @dataclass(eq=False)
 class Weighing:
-    """Compute decays from the paths of a tracing, for other coefficients of each face.
+    """Compute decays for other coefficients of each face, without tracing new paths.
 
+    ``tracer`` is the simulator whose paths are re-weighted, and ``seed`` that of its random numbers.
     The paths are followed for ``seconds``, and longer if a decay is too short for the parameters
-    ``match``. With 0 seconds, they are followed as long as the first decays require.
+    ``match``. If ``seconds`` is 0, the time follows from the room's T.
     """
 
     tracer: PathTracing
@@ -208,9 +210,9 @@ class Weighing:
     ) -> Array:
         """Return the decays of each of several groups of paths, (number, n_pairs, n_bands, n_bins).
 
-        ``number`` is the number of groups. ``alpha`` (n_faces, n_bands) are the coefficients.
-        ``attenuation`` (n_bands,) is that of the air in 1/m; None means the room's. ``stretch`` is a
-        factor on all lengths of the room.
+        ``number`` is the number of groups into which the paths are divided. ``alpha`` (n_faces,
+        n_bands) are the coefficients. ``attenuation`` (n_bands,) is that of the air in 1/m; None means
+        the room's. ``stretch`` is a factor on all lengths of the room.
         """
         room = self.tracer.room
         # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
@@ -223,10 +225,10 @@ class Weighing:
         return self._long_enough(weighed, 1.5 if self.seconds else 2.0) / stretch**2
 
     def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
-        """Yield the decays with changed coefficients, for one group of faces after the other.
+        """Yield the decays with changed alpha of a group of faces, for one group after the other.
 
-        The decays are (n_shares, n_pairs, n_bands, n_bins). ``shares`` are the changes of alpha, as
-        shares of the way to 1 or, below 0, to the alpha of a hard wall.
+        The decays are (n_shares, n_pairs, n_bands, n_bins). ``groups`` are the numbers of the faces.
+        ``shares`` are the changes of alpha as shares of the way to 1 or, below 0, to a hard wall.
         """
         room, alpha = self.tracer.room, self.alpha
         ways = {True: 1 - alpha, False: np.maximum(alpha - HARD, 0.0)}
@@ -278,10 +280,11 @@ search ended in an error."""
 def displaced(
     case: PositionsCase, match: Sequence[str], base: Array, seed: int
 ) -> dict[str, Array]:
-    """Return how the values change if a source or receiver is displaced by `MOVE`, by its name.
+    """Return how simulated values change if one source or receiver is displaced by `MOVE`, by its name.
 
-    Each array is (n_parameters, n_pairs, n_bands, n_displacements). ``base`` are the values with the
-    input positions, and ``match`` the parameters.
+    Each array is (n_parameters, n_pairs, n_bands, n_displacements). ``base`` (n_parameters, n_pairs,
+    n_bands) are the values with the input positions, ``match`` the names of the parameters, and
+    ``seed`` that of the random numbers.
     """
     tracer, geometry = case.simulator, case.geometry
     steps = np.array([sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)])
@@ -338,10 +341,10 @@ OPEN = tuple(share for share in SHARES if share > 0)
 
 
 def interpolation(nodes: Sequence[float], at: Array) -> Array:
-    """Return the weights (..., n_nodes) of nodes in a linear interpolation that is 0 at 0.
+    """Return the weights (..., n_nodes) of a linear interpolation between nodes, whose value at 0 is 0.
 
-    ``at`` (...) are the places of the interpolated values. Beyond the last node on either side, the
-    result is the value at that node.
+    ``nodes`` (n_nodes,) are the places of the known values, and ``at`` (...) those of the wanted
+    values. Beyond the last node on either side, the wanted value is that of the node.
     """
     every = np.array(sorted([*nodes, 0.0]))
     alone = np.eye(len(every))[np.searchsorted(every, nodes)]
@@ -525,10 +528,11 @@ def _mean(tracings: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
 
 
 def without_noise(shifts: Array) -> Array:
-    """Return the mean of changes over tracings, with less noise in the differences between pairs.
+    """Return the mean of changes over several tracings, with less noise in differences between pairs.
 
-    The differences of each parameter between pairs are reduced by their share of noise. ``shifts``
-    (n_tracings, ..., n_parameters, n_pairs, n_bands, n_nodes) are the changes of the values.
+    ``shifts`` (n_tracings, ..., n_parameters, n_pairs, n_bands, n_nodes) are the changes of simulated
+    values. The deviations of single pairs from the mean over pairs are reduced by their share of noise,
+    which is estimated from the differences between tracings.
     """
     mean = shifts.mean(axis=0)
     common = mean.mean(axis=-3, keepdims=True)
@@ -681,11 +685,12 @@ def with_index(tracer: PathTracing) -> dict[str, Directivity]:
 
 
 def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
-    """Return possible directivities: all sources aim at the receivers' middle, or along an axis.
+    """Return possible directivities of the sources, by the source's name.
 
-    A source without an input directivity has the index `LOBE_INDEX`. A source with an input index above
-    0 aims as given and has a larger index: by `INDEX_ERROR` for all sources, or by `OWN_INDEX_ERROR`
-    for a single source. All other sources are as given.
+    In the first, sources without an input directivity aim at the middle of the receivers, in the others
+    along an axis, with the directivity index `LOBE_INDEX`. A source with an input index above 0 aims as
+    given, with an index that is larger by `INDEX_ERROR` in the first and by `OWN_INDEX_ERROR` in the
+    others. All other sources are as given.
     """
     middle = tracer.to_receivers.mean(axis=1)
     # A source in the middle of its receivers aims at none of them.
