@@ -275,10 +275,10 @@ class Verification(Result):
 
     @property
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
-        """Other effects that halves of the pairs found, and whether these effects contradict the finding.
+        """Other effects that halves of the pairs found, and whether they contradict the finding.
 
-        They do if their group is another one, with all added absorption as one group, or if the finding
-        identifies a surface and they are on one that these positions distinguish from it.
+        They contradict it if their group is another one, with all added absorption as one group, or if
+        the finding identifies a surface and they are on one that these positions distinguish from it.
         """
         found = self.finding.likeliest if self.added else None
         if found is None:
