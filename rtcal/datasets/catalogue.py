@@ -137,7 +137,7 @@ _FROM = {
 
 
 def pages(names: Collection[str]) -> list[str]:
-    """Return a line for each source of some pieces: the work, and the page with a copy of its table."""
+    """Return a line for each source of the pieces ``names``: the work, and a page with its table."""
     rows = (row for each in _tabulated()["piece"] if each["name"] in names for row in each["row"])
     used = {row["source"] for row in rows}
     return [
@@ -153,9 +153,8 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
     The absorption area in m² is the mean of published values, which ``pieces.toml`` has with their
     sources; for some pieces these are a typical lowest and highest value. The uncertainty sigma is the
     standard deviation of the values, or of a uniform distribution between the lowest and the highest.
-    Relative to the area, sigma is at least the root mean square of that of all pieces, which also
-    stands for sigma of a piece with one value. sigma is at least 0.01 m². At 8000 Hz its ratio to the
-    area is that at 4000 Hz.
+    sigma over the area is at least the root mean square of this ratio over all pieces, which is also
+    the ratio of a piece with one value. At 8000 Hz it is that at 4000 Hz. sigma is at least 0.01 m².
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ class Matched:
     def noise(self, measurement: Measurement) -> Array:
         """Return the standard error in s of the simulated time that is compared, (n_bands,).
 
-        It is 0 if the simulator gives no standard error, and NaN if the error is unknown. T20 and EDT
+        It is 0 if the simulated values state no uncertainty, and NaN where they state NaN. T20 and EDT
         come from the same paths, so that their errors are added as if fully correlated.
         """
         time = self.combined(measurement.mean)
@@ -266,9 +266,8 @@ class ParameterGap:
 
     Arrays are (n_bands,). ``means`` has the values "measured", "before" and "after", NaN where there is
     none. ``before`` and ``after`` are simulated minus measured values in JND. If the loop matches the
-    parameter, ``share`` is the parameter's weight as a share of all weights. ``lost`` is the number of
-    JND by which the deviation of a matched parameter exceeds that of the weighted mean; it is 0 if only
-    one parameter is matched.
+    parameter, ``share`` is the parameter's weight as a share of all weights, and ``lost`` the number of
+    JND by which its deviation exceeds that of the weighted mean of the matched parameters.
     """
 
     means: Mapping[str, Array]
@@ -754,8 +753,8 @@ class Loop(Result):
         ------
         DataError
             If the loop is finished and its result was simulated, if alpha does not fit the room, or if
-            the measurement has other bands or lacks a T20: for some pair in the first step, or in every
-            measured band.
+            ``simulated`` has other bands or lacks the T20 of a pair in a band in which no earlier step
+            had it, or in every measured band.
         """
         if self.after is not None:
             raise DataError(
@@ -1017,8 +1016,8 @@ def start(
         plus the noise.
     weights : mapping of "t20" and "edt" to a number or one per band, optional
         Weights with which the mean T20 and the mean EDT are matched together, by their weighted
-        geometric mean. `Loop.compromise` has the accuracy that each loses. By default T20 alone is
-        matched.
+        geometric mean. `Loop.compromise` has the accuracy that each of them loses by the other. By
+        default T20 alone is matched.
     run : Run, optional
         Simulation that you have already made, with any coefficients. It becomes the first simulation of
         the loop. The next target is then scaled by the equation's T over the program's T (Bellows &
@@ -1407,11 +1406,11 @@ _SLOPES = (0.3, 3.0)
 
 
 def secant(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return the next target T in s by the secant through the last two targets.
+    """Return a band's next target, as a rate 1/T in 1/s, by the secant through the last two targets.
 
-    ``targets`` are the targets so far in s, and ``rates`` the decay rates that were simulated for them.
-    ``wanted`` is the measured decay rate. The result may be outside the range ``low`` to ``high`` of
-    the equation's T, and may be negative.
+    All arguments are such rates: ``targets`` those of the steps so far, ``rates`` those simulated for
+    them, ``wanted`` the measured one, and ``low`` and ``high`` the ends of the equation's range. The
+    result may be outside this range, and may be negative.
 
     References
     ----------
@@ -1426,12 +1425,12 @@ def secant(targets: Array, rates: Array, wanted: float, low: float, high: float)
 
 
 def safeguarded(targets: Array, rates: Array, wanted: float, low: float, high: float) -> float:
-    """Return a band's next target T in s by a secant step in logarithms within safe limits.
+    """Return a band's next target, as a rate 1/T in 1/s, by a secant step in logarithms within limits.
 
-    The parameters are those of `secant`. The first slope is 1, and later slopes are limited. The limits
-    are the highest target whose simulated decay rate was too low, and the lowest target whose rate was
-    too high. A step beyond a limit is replaced by one to the middle between the limits, or to the end
-    of the equation's range.
+    The arguments are those of `secant`. The slope is 1 in the first step, and limited in later ones.
+    The target must be above every target for which too low a rate (too long a T) was simulated, and
+    below every target for which too high a rate was simulated. Otherwise the middle between these two
+    limits is returned, or the end of the equation's range in place of a limit that no step has set.
     """
     u, v, w = np.log(targets), np.log(rates), np.log(wanted)
     slope = 1.0
@@ -1459,7 +1458,7 @@ def next_target(
 
     ``rule`` is a key of `RULES`. ``targets`` are the targets so far in s, and ``times`` the T in s that
     were simulated for them, (n_steps,) each. ``wanted`` is the measured T. ``shortest`` and ``longest``
-    are the ends of the equation's range.
+    are the ends of the equation's range of T in s.
     """
     rate = RULES[rule](1 / targets, 1 / times, 1 / wanted, 1 / longest, 1 / shortest)
     if rate <= 0:  # the secant rule has no valid target: keep the last one

@@ -451,7 +451,7 @@ class BeyondPrior:
     simulated with the input coefficients, and simulated with all coefficients two sigma nearer to the
     measured T. ``stated`` is the area-weighted mean of the input coefficients, and ``needed`` the mean
     that gives the measured T. ``z`` is their difference over its standard deviation. ``bands`` is the
-    number of bands that are as far, out of ``of_bands`` bands with T.
+    number of bands whose T the input cannot explain, out of ``of_bands`` bands with T.
     """
 
     parameter: str
@@ -816,10 +816,10 @@ def simulated_controls(
     `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have a geometry. ``match`` are the
     parameters. Alpha is drawn at random from the input alpha and sigma of ``room``, in the same way for
     every ``seed``, which is that of the paths. ``position_uncertainty`` is the standard uncertainty of
-    the positions in m. The folder ``cache`` keeps the errors for the next call, except if ``after`` is
-    given: parameters and simulations of further states of the room, whose errors follow those of
-    ``match``. ``more_paths`` is a factor on the number of paths. ``scheduler`` is the address of a Dask
-    scheduler whose workers simulate; by default this machine does.
+    the positions in m. ``after`` has, for each further state of the room, the parameters and a function
+    that simulates them; their errors follow those of ``match``. The folder ``cache`` keeps the errors
+    for the next call if ``after`` is empty. ``more_paths`` is a factor on the number of paths.
+    ``scheduler`` is the address of a Dask scheduler whose workers simulate; None for this machine.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     tracing = complete(simulator).tracing
@@ -1246,12 +1246,12 @@ def fitted(tracer: PathTracing, log_odds: Array, posterior: Array) -> Scattering
 class ErrorsByScattering:
     """Hold how a simulator's errors in reference simulations depend on the level of scattering.
 
-    The errors are straight lines over the level of scattering, for each scattering model:
-    ``coefficients`` (3, n_parameters, n_pairs, n_bands) of the columns that `basis` returns. ``spread``
-    (3, 3) is the covariance of these coefficients over the residual variance. The residual variance is
-    proportional to the level to the ``power`` (n_parameters,), relative to the level ``middle``.
-    ``left`` (n, n) is the covariance of the residuals of all values, and ``of_coefficients`` (n, n) the
-    one by which the coefficients are uncertain.
+    For each scattering model the errors are a straight line over the level, with ``coefficients`` (3,
+    n_parameters, n_pairs, n_bands) of the columns that `basis` returns. ``spread`` (3, 3) is the
+    covariance of these coefficients over the residual variance. The residual variance is proportional
+    to the level to the ``power`` (n_parameters,), relative to the level ``middle``. At that level the
+    residuals of all values have the covariance ``left`` (n, n). ``of_coefficients`` (n, n) is the
+    residual covariance that, times ``spread``, gives the uncertainty of the coefficients.
     """
 
     coefficients: Array

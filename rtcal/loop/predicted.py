@@ -433,7 +433,7 @@ _HALVINGS = 40
 def in_pieces(
     tracer: PathTracing, moves: Sequence[Move]
 ) -> tuple[PathTracing, NDArray[np.int64], list[NDArray[np.bool_]]]:
-    """Return a tracing whose surfaces are cut where partial covers may end, and which piece is where.
+    """Return a path tracing whose surfaces are cut into pieces where partial covers may end.
 
     Each piece has coefficients of its own. Also returned are the number of the room's material of each
     piece, (n_pieces,), and, for each cover, the pieces that it covers at each possible place,

@@ -392,10 +392,10 @@ class ModesResult(Result):
         return (mark("implausible_modes", None, text),)
 
     def in_loop(self, measured: Measurement) -> ModesResult:
-        """Return the result for use in `rtcal.calibrate_simulator`, with low bands by the measured T.
+        """Return the result for `rtcal.calibrate_simulator`, in which it replaces T in the low bands.
 
-        A band is low if it is below the Schroeder frequency, which follows from the measured T. Raises
-        DataError if the modes were calibrated together with T, or if every measured band is low.
+        A band is low if it is below the Schroeder frequency, which follows from the T of ``measured``.
+        Raises DataError if the modes were calibrated together with T, or if all measured bands are low.
         """
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(

@@ -508,7 +508,8 @@ class Spectra:
     """Hold the spectra of impulse responses, with the variance of their noise.
 
     ``values`` (n_bins, n_pairs) are the spectra at the angular frequencies ``omega`` (n_bins,) in 1/s.
-    ``noise`` is the variance of the real part of a value.
+    ``noise`` is the variance of the real part of a value. The responses have ``samples`` samples in
+    steps of ``step`` s.
     """
 
     values: Complex

@@ -206,7 +206,8 @@ class Poles:
 
     Each mode is a mixture x of rigid modes. It contributes a b / norm to the transfer function from a
     source to a receiver, where a and b are the mode's values at these points. The norm of a pole s is
-    x' (2 s + c sum_i beta_i B_i) x.
+    x' (2 s + c sum_i beta_i B_i) x, with the admittance beta_i and the `RoomModes.coupling` B_i of wall
+    i and the speed of sound c.
     """
 
     values: Complex  # (n_poles,), -delta + j omega in 1/s

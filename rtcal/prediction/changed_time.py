@@ -174,10 +174,10 @@ class Unknowns:
     """Hold random values of the unknowns that all states of a room share.
 
     ``alpha`` and ``factor`` are (n_bands, n_materials, n_draws): the coefficients, and ln f of their
-    factors f. The others are (n_bands, n_draws). ``evenness`` u is from 0 to 2 where absorption is
-    uneven: T is the shortest of three equations for 0, the middle one for 1, the longest for 2. ``air``
-    and ``volume`` are standard normal variables for ln m and for the volume that is added. ``alone`` is
-    True where an exchange at an unknown place is on the walls of one axis.
+    factors f. The others are (n_bands, n_draws). ``evenness`` is from 0 to 2 and determines T where the
+    absorption is uneven: 0 gives the shortest T of three equations, 1 the middle one, 2 the longest.
+    ``air`` and ``volume`` are standard normal variables for ln m and for the volume that is added.
+    ``alone`` is True where an exchange at an unknown place is on the walls of one axis.
     """
 
     alpha: Array
@@ -337,11 +337,10 @@ class TimeChange:
         return Unknowns(alpha, 0 * alpha, nothing, nothing, nothing, nothing > 0)
 
     def possible(self, ratio: Array) -> Array:
-        """Return ln of ratios of T, corrected where absorption is only added or only removed.
+        """Return ln (T after / T before), set to 0 where its sign is impossible for the change.
 
-        ``ratio`` is ln (T after / T before), which cannot be above 0 if absorption is only added, nor
-        below 0 if it is only removed. An equation may give such a value with a hard free-standing
-        object.
+        ``ratio`` is this logarithm, (n_bands, ...). It cannot be above 0 if absorption is only added,
+        nor below 0 if it is only removed, but an equation may give this for a hard object.
         """
         first, other = (state.room for state in self._both)
         if first.volume == other.volume and first.air == other.air:

@@ -103,10 +103,10 @@ class Choice:
         return float(self.cost @ (v * self.size))
 
     def widest(self, enough: float = np.inf) -> tuple[Array, float]:
-        """Return the unknowns whose smallest margin is largest, and that margin, in parts of panels.
+        """Return the unknowns for which the smallest margin of the ranges is largest, and that margin.
 
-        The unknowns are numbers of panels, or shares of a treatment's largest area. The search ends
-        when the margin is ``enough``.
+        The unknowns are numbers of panels, not necessarily whole, or shares of a treatment's largest
+        area. The search ends when the margin is at least ``enough``.
         """
         from scipy.optimize import minimize
         from scipy.stats import qmc

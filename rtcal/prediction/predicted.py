@@ -58,10 +58,11 @@ Known = Any
 
 
 def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoom:
-    """Return the room with what a calibration, or else the room's input, shows about it.
+    """Return a room before a change, with its coefficients and T from a calibration or from its input.
 
-    ``known`` is the calibration or the room; ``equation`` is that for a room, by default Eyring's.
-    Raises DataError for another object, and for an ``equation`` that is not the calibration's.
+    ``known`` is the calibration or the room. ``equation`` is the reverberation equation for a room; for
+    None it is Eyring's. Raises DataError for another object, and for another equation than that of the
+    calibration.
     """
     if isinstance(known, Room):
         return KnownRoom.stated(known, equation or Eyring())

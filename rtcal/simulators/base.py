@@ -439,8 +439,8 @@ def differences(
 
     Their shape is (n_parameters, n_pairs, n_bands, n_materials), and the arguments are those of
     `observe`. Each material needs two simulations, in which its alpha is changed by `STEP` in all
-    bands, with the same seed. If a decay of one of the two is too short, a simulation with the
-    unchanged alpha takes the place of this one.
+    bands, with the same seed. If one of the two gives too short a decay, it is replaced by a
+    simulation with the unchanged alpha.
     """
     alpha = check_alpha(simulator, alpha)
     columns = []

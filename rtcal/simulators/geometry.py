@@ -631,11 +631,11 @@ def _tree(points: Array) -> Any:
 def edge_owners(
     vertices: Array, faces: Sequence[Sequence[int]]
 ) -> dict[Edge, list[tuple[int, bool]]]:
-    """Return the faces at each piece of an edge, and the direction in which each runs along it.
+    """Return the faces at each piece of an edge, and the direction of each face along the piece.
 
-    The key is the piece, as the numbers of its two vertices. Each face is a number, with True if it
-    runs from the vertex with the lower number. Vertices of ``faces`` that lie on an edge divide it into
-    pieces. ``vertices`` (n, 3) are in m.
+    The key is the piece, as the numbers of its two vertices. Each face is its number, with True if the
+    face's outline runs along the piece from the vertex with the lower number. Vertices of ``faces``
+    that lie on an edge divide it into pieces. ``vertices`` (n, 3) are in m.
     """
     sides = [(i, face[k - 1], face[k]) for i, face in enumerate(faces) for k in range(len(face))]
     edges = list({(min(a, b), max(a, b)): None for _, a, b in sides})

@@ -114,16 +114,16 @@ def trace(
 ) -> tuple[Any, Any, Any, Any, Any, Any, Array]:
     """Return the wall hits and receptions of traced paths for `path_tracing.Batch`, and counts.
 
-    The first three values are the codes of the events (hits and receptions) of all paths, the places of
-    path after path among these, and where each path begins there. The next three are the lengths in m
-    and the weights of the receptions, and the places of path after path among these. The last are four
-    counts: paths lost; free paths, the sum of their lengths and of the squares. A path that hits no
-    wall is lost, and none of its events is kept.
+    The first three values are the codes of the events (hits and receptions), the indices that sort the
+    events by path, and the place in this order at which each path begins. The next three are the
+    lengths in m and the weights of the receptions, and the indices that sort the receptions by path.
+    The last are four counts: lost paths; free paths, and the sums of their lengths and of the squares
+    of these. A path that hits no wall is lost, and none of its events is kept.
 
     ``order`` has the triangles' numbers, those of a plane together, and ``begins`` where each plane
     begins (`rtcal.simulators.path_tracing.by_plane`). ``owners`` has the face of each triangle,
-    ``scattering`` the coefficient of each face. Paths whose number 2^i does not divide end at i times
-    the length ``thinned`` in m; receptions of the others then count 1 / ``shares[i]`` times.
+    ``scattering`` the coefficient of each face. At i times the length ``thinned`` in m, paths end whose
+    number is no multiple of 2^i; receptions of the others then count 1 / ``shares[i]`` times.
     """
     # Arrays are made here: making one in the compiled function takes numba a tenth of a second.
     n_paths, n_receivers, n_planes = len(directions), len(receivers), len(begins) - 1
@@ -550,8 +550,8 @@ def weigh(
 
     ``x``, ``y`` and ``z`` (n_bands, n_lattice) are the products of (1 - alpha) over the hits along each
     axis. ``rows``, ``starts``, ``bins`` and ``weights`` are those of `rtcal.simulators.shoebox.Images`.
-    Unsigned indices need no check for negative values, which would take half of the time.
     """
+    # Unsigned indices need no check for negative values, which would take half of the time.
     out = np.zeros((len(x), n_bins))
     for run in range(len(rows)):
         begin, first = starts[run], rows[run, 2]

@@ -787,9 +787,9 @@ def trace(
     ``longest`` in m. ``workers`` is the number of threads, None for that of the processors.
 
     The same seed gives the same paths for any ``longest`` and ``workers``. After the length ``thinned``
-    in m, and after each further such length, every second path ends, until 1 in 2**`HALVINGS` is left,
-    or few. The remaining paths count twice each time (Russian roulette, Spanier & Gelbard 1969), so
-    that the expected energy is the same.
+    in m, and after each further such length, every second path ends, until 1 in 2**`HALVINGS` or few
+    paths are left. Each time the remaining paths count twice (Russian roulette, Spanier & Gelbard
+    1969), so that the expected energy is the same.
 
     Raises DataError if more than `MOST_LOST` of the paths, or `MOST_LEAKED` in a geometry with
     ``leaks``, hit no wall, because the faces leave gaps or cut each other; also for too many faces and
@@ -1254,9 +1254,9 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the derivatives of `observe` by the scattering coefficient s of each material.
 
-        The derivatives are by the log odds ln(s / (1 - s)), which change equally in all bands, and 0
-        for s = 0 or 1. They come from ``number`` independent groups of paths, where ``number`` must
-        divide ``n_batches``: the mean over the groups is the derivative, and the differences are noise.
+        The derivatives are by the log odds ln(s / (1 - s)), for the same change in all bands, and 0 for
+        s = 0 or 1. ``number`` is that of the independent groups of paths, and must divide
+        ``n_batches``: the mean over the groups is the derivative, and their differences are noise.
         See `Paths.gradient`.
 
         Returns

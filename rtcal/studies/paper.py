@@ -51,7 +51,7 @@ def redrawn_share(sigma_r: float, sampling: Sampling = "sigma_r") -> float:
     """Return the share of random sigma that leave no possible mu and are drawn again.
 
     mu is the input coefficient and sigma its uncertainty. With the ``sampling`` "sigma_n", a sigma of
-    `SIGMA_LIMIT` or more is drawn again: exp(-1 / (32 sigma_r²)). With "sigma_r" there is none.
+    `SIGMA_LIMIT` or more is drawn again: the share is exp(-1 / (32 sigma_r²)). With "sigma_r" it is 0.
     """
     if sampling == "sigma_r":
         return 0.0
@@ -178,8 +178,9 @@ class TrialSums:
     """Hold sums over trials, from which the errors of three calibrations follow.
 
     ``squares`` is e'e of the errors e before calibration. ``products`` (4,) are delta², and delta e'q
-    of each calibration. ``change`` (3,) is e'e of the bounded minus that of the unbounded estimate.
-    ``active`` (3,) is the number of trials in which these estimates differ.
+    of each calibration, with the error delta = S'e of the absorption area and the calibration's
+    direction q. ``change`` (3,) is e'e of the bounded minus that of the unbounded estimate. ``active``
+    (3,) is the number of trials in which these two estimates differ.
     """
 
     squares: float

@@ -21,8 +21,8 @@ _STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark n
 class Row:
     """Hold a row of a printed table.
 
-    ``values`` are numbers, with None or NaN for a missing one, or texts. ``form`` is the format of a
-    number; with "+" in it, positive numbers have a sign, and 0 has none.
+    ``values`` (n_columns,) are texts or numbers, with None or NaN for a missing number. ``form`` is the
+    format of a number; with "+" in it, positive numbers have a sign, and 0 has none.
     """
 
     name: str
@@ -121,8 +121,9 @@ class Table:
 class Note:
     """Hold a sentence of a result.
 
-    A terminal indents the sentence, and shows "" as an empty line. ``kind`` is the class of the
-    sentence on a page: "lead" for the first sentences, "note" for a remark.
+    A terminal prints ``indent`` before the first line of ``text`` and ``hanging`` before the others; ""
+    is an empty line. ``kind`` is the class of the sentence on a page: "lead" for the first sentences,
+    "note" for a remark.
     """
 
     text: str

@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 def number(place: str, value: object) -> float:
-    """Return a real number as a float; DataError for any other value, even for a text and for True.
+    """Return a real number as a float; DataError, which names ``place``, for any other value.
 
     Examples
     --------
@@ -39,7 +39,7 @@ def number(place: str, value: object) -> float:
 
 
 def positive(place: str, value: object, unit: str = "") -> float:
-    """Return a finite number above 0 as a float; DataError for anything else.
+    """Return a finite number above 0 as a float; DataError, which names ``place``, for anything else.
 
     Examples
     --------
@@ -55,7 +55,7 @@ def positive(place: str, value: object, unit: str = "") -> float:
 def between(
     place: str, value: object, least: float, most: float, unit: str = "", why: str = ""
 ) -> float:
-    """Return a number from ``least`` to ``most`` as a float; DataError, with ``why``, for any other.
+    """Return a number from ``least`` to ``most``; DataError at ``place``, with ``why``, for any other.
 
     Examples
     --------
@@ -134,7 +134,7 @@ def stack_level() -> int:
 
 
 def public_name(thing: Any) -> str:
-    """Return the name by which a user imports a class or function: of the outermost package with it.
+    """Return the name by which a user imports a class or function, from the outermost package.
 
     Examples
     --------

@@ -22,9 +22,9 @@ FINE = np.polynomial.legendre.leggauss(80)
 def symmetric_root(covariance: Array) -> Array:
     """Return the symmetric square roots of covariances (..., n, n), by which normal values are drawn.
 
-    Other roots are made of eigenvectors or singular vectors, whose signs differ between processors, and
-    so would the values that are drawn. The symmetric root has no sign to choose, and exists for a
-    covariance that is singular, too.
+    Roots from eigenvectors or singular vectors have signs that differ between processors, so that the
+    values drawn would differ too. The symmetric root has no sign to choose, and exists for a singular
+    covariance, too.
     """
     values, vectors = np.linalg.eigh(covariance)
     scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., np.newaxis, :]

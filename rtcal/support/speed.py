@@ -114,8 +114,8 @@ def bar(
     """Yield tqdm's progress bar of ``count`` steps on standard error; call its ``update(1)`` per step.
 
     ``unit`` is the name of a step. The bar appears after two seconds and shows how long the rest will
-    take. If ``wanted`` is False there is no bar, as for a log: ``say``, unless it is None, is called
-    with the progress in words after ten seconds, 30, 70 and so on.
+    take. If ``wanted`` is False there is no bar, as for a log: the function ``say`` is called with the
+    progress in words after ten seconds, 30, 70 and so on; None calls nothing.
     """
     from tqdm import tqdm
 

@@ -198,7 +198,7 @@ def listed(names: Sequence[str], last: str = "and") -> str:
 
 
 def as_sentence(words: str) -> str:
-    """Return words as a sentence of its own.
+    """Return words as a sentence, with a capital letter and a full stop.
 
     Examples
     --------
@@ -225,7 +225,7 @@ _OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud
 
 
 def decimal_comma(text: str) -> str:
-    """Return advice on the first decimal comma in a text that is no number; "" without a comma.
+    """Return advice on the first decimal comma in a text; "" if the text has none.
 
     Examples
     --------
