@@ -25,6 +25,7 @@ from rtcal.acoustics.observables import (
     REVERBERATION,
     TARGET,
     DecaySlope,
+    Observable,
     observable,
     of_kind,
 )
@@ -418,15 +419,23 @@ def in_measurement(measured: Measurement) -> list[TrustMark]:
 
 
 _LEAST_ALIKE = 6
-"""Least number of equal values at two positions that are no chance."""
+"""Least number of equal values at two positions that are no chance, however they are rounded."""
+_BY_CHANCE = 1e-2
+"""Largest probability with which some two positions have the same values by chance."""
 
 
 def given_twice(measured: Measurement) -> tuple[str, ...]:
-    """Return a caution for each position with the same values as an earlier position."""
+    """Return a caution for each position with the same values as an earlier position.
+
+    Values of two positions are within about one JND of each other, so that two equal ones are a chance
+    of one to the number of steps of rounding in a JND.
+    """
     every, names = np.hstack([*measured.values.values()]), [*map(" to ".join, measured.pairs)]
+    steps = np.hstack([_steps(OBSERVABLES[key], v) for key, v in measured.values.items()])
+    least = np.log(max(len(names) * (len(names) - 1) / 2, 1) / _BY_CHANCE)
     notes, first = [], dict[bytes, str]()
-    for name, row in zip(names, every + 0.0, strict=True):
-        if np.isfinite(row).sum() < _LEAST_ALIKE:
+    for name, row, log in zip(names, every + 0.0, np.log(steps), strict=True):
+        if np.isfinite(row).sum() < _LEAST_ALIKE and np.nansum(log) < least:
             continue
         if (same := first.setdefault(row.tobytes(), name)) != name:
             notes.append(
@@ -435,6 +444,17 @@ def given_twice(measured: Measurement) -> tuple[str, ...]:
             )
     return tuple(notes)
 
+
+def _steps(kind: Observable, values: Array) -> Array:
+    """Return how many steps of the rounding of all values one JND of each has, at least 1."""
+    with np.errstate(invalid="ignore"):
+        off = [np.nanmax(np.abs(values.round(d) - values), initial=0.0) for d in range(_DIGITS)]
+    decimals = next((d for d, error in enumerate(off) if error < 0.1**_DIGITS), _DIGITS)
+    return np.where(np.isfinite(values), np.maximum(kind.jnd_of(values) * 10**decimals, 1.0), 1.0)
+
+
+_DIGITS = 6
+"""Most decimals of a rounded value."""
 
 LEAST_OF_BOX, MOST_OF_BOX = 0.9, 1.4
 """Least and largest likely surface of a room, over that of the box of its dimensions. Furniture and

@@ -16,7 +16,7 @@ from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room, fingerprint, of_pairs
 from rtcal.support import checks
 from rtcal.support.errors import DataError, OtherBandsWarning
-from rtcal.support.text import shortened
+from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array
 
 _FEW_VALUES = 4
@@ -63,12 +63,13 @@ class MeasuredTimes:
 
     @cached_property
     def caution(self) -> str:
-        """Caution that T was converted from other bands, or that T30 is a copy of T20; else ""."""
+        """Cautions about T from other bands, a T30 that copies T20, and equal positions; else ""."""
         if self.measured is None:
             return ""
         stated = self.measured.centre_frequencies
         rule = bands.rule(stated, self.centre_frequencies, "T")
-        return ". ".join(filter(None, (rule, copied(self.measured))))
+        said = rule, copied(self.measured), *marks.given_twice(self.measured)
+        return " ".join(as_sentence(each) for each in said if each)
 
     @cached_property
     def bent(self) -> tuple[TrustMark, ...]:
@@ -167,7 +168,7 @@ def copied(measured: Measurement) -> str:
         return ""
     return (
         "T30 equals T20 in every value, so one is a copy of the other, and whether the decay is curved "
-        "is unknown."
+        "is unknown"
     )
 
 

@@ -61,6 +61,7 @@ from rtcal.prediction.changed_time import (
     KnownRoom,
     MeasuredState,
     correlation_of,
+    directions,
     normal_quantiles,
 )
 from rtcal.prediction.predicted import Prediction, predict
@@ -525,16 +526,12 @@ class CalibrationResult(Result):
         Calibration of all configurations of the room; a single room is one configuration.
     configuration : int
         Number of the configuration to which this result belongs.
-    shares : array (n_materials, 3), optional
-        Shares of each material's area that face x, y and z, as `rtcal.acoustics.changes.facing`
-        returns them for a mesh; by default those that the room states.
     """
 
     record_kind: ClassVar[str] = table.KIND
 
     joint: JointResult
     configuration: int
-    shares: Array | None = None
 
     @property
     def prior(self) -> Room:
@@ -714,6 +711,11 @@ class CalibrationResult(Result):
         return read_only_view(where_valid(self.equation.air_share, self.prior, area))
 
     @cached_property
+    def directions(self) -> Array:
+        """Shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown."""
+        return read_only_view(directions(self.prior))
+
+    @cached_property
     def doubts(self) -> tuple[TrustMark, ...]:
         """Cautions about the input: likely typing errors of the room and of T."""
         return of_input(self.prior, self.measured, self.measured_data.mistyped)
@@ -722,9 +724,7 @@ class CalibrationResult(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Cautions about single bands or the whole room, with advice; `doubts` first."""
         calibrated = self.prior.replace(alpha=self.alpha)
-        uneven = uneven_marks(
-            calibrated, facing(calibrated) if self.shares is None else self.shares
-        )
+        uneven = uneven_marks(calibrated, self.directions)
         for _, likely in likely_slips(self.prior)[:1]:
             uneven = uneven or uneven_marks(likely, facing(likely))
         return (
@@ -814,7 +814,7 @@ class CalibrationResult(Result):
             log_uncertainty=own.log_uncertainty,
             others=tuple(states),
             doubts=self.doubts,
-            shares=self.shares,
+            shares=self.directions,
         )
 
     def predict(

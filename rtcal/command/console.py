@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -625,20 +624,6 @@ def said() -> Callable[[str], None] | None:
 def bar_wanted() -> bool:
     """Whether to show a progress bar: on a terminal."""
     return not is_quiet() and sys.stderr is not None and sys.stderr.isatty()
-
-
-def directed(known: Any) -> Any:
-    """Return a calibration, or what is known about a room, with the directions of the surfaces.
-
-    Those of a mesh count, too; it alone needs the simulators, which take a while to load.
-    """
-    from rtcal.acoustics.changes import facing
-
-    if known.room.scene.mesh is None:
-        return replace(known, shares=facing(known.room))
-    from rtcal.io import geometry_files
-
-    return replace(known, shares=geometry_files.directions(known.room))
 
 
 @contextmanager

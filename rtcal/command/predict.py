@@ -122,14 +122,13 @@ def predict(
         if known is None and (measured is not None or also):
             known = calibrated(before, measured, also, equation)
         if known is None:
-            stated = console.directed(known_room(before, equation))
-            told(predict_variants(stated, variants, target=target), out)
+            told(predict_variants(known_room(before, equation), variants, target=target), out)
             return
         if before.scene.sources and not console.is_quiet():
             console.warn(
                 "T is predicted by an equation; the folder of `rtcal fit` predicts every position"
             )
-        told(predict_variants(console.directed(known), variants, target=target, run=run), out)
+        told(predict_variants(known, variants, target=target, run=run), out)
         return
     if target is not None:
         raise DataError(
@@ -244,5 +243,4 @@ def design(
         "a file of treatments",
         lambda text: read_treatments(text, result.prior, catalogue.material),
     )
-    result = console.directed(result)
     told(cheapest(result, stated, target, in_file if probability is None else probability), out)

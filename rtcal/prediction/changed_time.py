@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, placed
+from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, facing, placed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.marks import TrustMark, of_input
 from rtcal.acoustics.room import Room, is_calibrated
@@ -104,12 +104,17 @@ class KnownRoom:
     )
     others: tuple[MeasuredState, ...] = ()  # further measured states
     doubts: tuple[TrustMark, ...] = ()  # those of the input, of `rtcal.acoustics.marks.of_input`
-    shares: Array | None = None  # directions (n_materials, 3); None for those of `facing`
+    shares: Array | None = None  # directions (n_materials, 3); None for those of the room
 
     @property
     def n_measured(self) -> int:
         """Number of states of the room in which T was measured."""
         return int(self.measured.any()) + len(self.others)
+
+    @cached_property
+    def directions(self) -> Array:
+        """Shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown."""
+        return directions(self.room) if self.shares is None else self.shares
 
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
@@ -132,6 +137,18 @@ class KnownRoom:
             log_uncertainty=np.full(room.n_bands, np.nan),
             doubts=of_input(room),
         )
+
+
+def directions(room: Room) -> Array:
+    """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
+
+    They are those of the room's mesh, and without a mesh those of `rtcal.acoustics.changes.facing`.
+    """
+    if room.scene.mesh is None:
+        return facing(room)
+    from rtcal.io import geometry_files  # loads the simulators, which takes a while
+
+    return geometry_files.directions(room)
 
 
 def correlation_of(covariance: Array) -> tuple[Array, Array]:
@@ -505,7 +522,7 @@ class TimeChange:
 
 @functools.lru_cache(16)
 def _before(known: KnownRoom) -> Placed:
-    return placed(known.room, (), shares=known.shares)
+    return placed(known.room, (), shares=known.directions)
 
 
 def _rooms(known: KnownRoom) -> list[Room]:

@@ -265,7 +265,7 @@ class Prediction(TimeChange, Result):
     def uncalibrated(self) -> Prediction:
         """Same prediction from the input coefficients alone, without any measurement."""
         known = KnownRoom.stated(self.before, self.known.equation)
-        known = replace(known, shares=self.known.shares)
+        known = replace(known, shares=self.known.directions)
         return replace(self, known=known, simulated=None)
 
     def probability(self, low: Array, high: Array) -> Array:
@@ -492,7 +492,7 @@ def predict(
         state=placed(
             room_known.room,
             changes if isinstance(changes, Room) else made,
-            shares=room_known.shares,
+            shares=room_known.directions,
         ),
         changes=made,
         assumptions=assumptions or Assumptions(),

@@ -806,7 +806,8 @@ def cautions(f: Finding) -> list[str]:
     room, off, typed = f.case.room, f.coefficients, list[str]()
     for measured in _measured(f):
         t = measured.in_bands(room.centre_frequencies).reverberation_time
-        typed += [doubt.sentence for doubt in marks.of_input(room, t)] + [*unusual(measured)]
+        typed += [doubt.sentence for doubt in marks.of_input(room, t)]
+        typed += [*unusual(measured), *map(as_sentence, marks.given_twice(measured))]
     said = [str(r) for r in f.reasons if r is not f.leading and r.code != OWN_FIELD]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]

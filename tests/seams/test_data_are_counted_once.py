@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.acoustics.marks import given_twice
 from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.base import Observations
@@ -157,3 +158,37 @@ def test_a_fit_refuses_them_before_it_simulates(
         rt.calibrate_positions(used, once, measured, match)
     with pytest.raises(AssertionError, match="have begun"):
         rt.calibrate_positions(tracer, hall.room, measured, match)
+
+
+@pytest.mark.parametrize("bands", [[500, 1000, 2000], [125, 250, 500, 1000, 2000, 4000]])
+@pytest.mark.parametrize("equal", [True, False])
+def test_a_position_that_is_given_twice_is_said_in_python(bands: list[int], equal: bool) -> None:
+    """The commands alone said it, of six values or more, where three fine ones are no chance, too."""
+    room, measured = rt.datasets.bras_cr2()
+    rows = [i for i, f in enumerate(room.centre_frequencies) if f in bands]
+    room = room.replace(
+        alpha=room.alpha[:, rows], sigma=room.sigma[:, rows], centre_frequencies=bands
+    )
+    times = measured.reverberation_time[rows]
+    heard = rt.Measurement(
+        centre_frequencies=bands,
+        values={"t20": np.stack([times, times if equal else (times * 1.03).round(2)])},
+        pairs=[("S1", "R1"), ("S1", "R2")],
+    )
+    said = "every value of S1 to R2 equals that of S1 to R1"
+    quick = equal and len(bands) == 3
+    for made in (rt.calibrate(room, heard), *([rt.find(room, heard)] if quick else [])):
+        text = " ".join(str(made).split())
+        assert (said in text.replace("Every", "every")) == equal
+        assert ".." not in text
+
+
+@pytest.mark.parametrize(("value", "said"), [(0.31, False), (1.94, True)])
+def test_few_rounded_values_are_equal_by_chance(value: float, said: bool) -> None:
+    """Three of 0.3 s with two decimals agree at two positions in one of some 4 cases."""
+    heard = rt.Measurement(
+        centre_frequencies=[500, 1000, 2000],
+        values={"t20": np.full((2, 3), value)},
+        pairs=[("S1", "R1"), ("S1", "R2")],
+    )
+    assert bool(given_twice(heard)) == said

@@ -128,7 +128,18 @@ def test_the_directions_of_a_mesh_are_those_of_every_command(
     assert "does not give the axes" not in from_file
     assert "the absorption is uneven" in from_file
     assert ran(capsys, "predict", folder / "cal", "--change", change) == from_file
-    assert "does not give the axes" not in ran(capsys, "predict", room, "--change", change)
+    stated = ran(capsys, "predict", room, "--change", change)
+    assert "does not give the axes" not in stated
+    # So they are in Python.
+    read, measured = rt.Room.from_file(room), rt.Measurement.from_file(t)
+    found = rt.calibrate(read, measured)
+    assert "the absorption is uneven" in " ".join(str(found).split())
+    carpet = rt.Material("carpet", [0.1, 0.2, 0.3, 0.4], [0.1] * 4)
+    put = rt.prediction.Change(cover="parquet", by=carpet, area=40)
+    for known, said in ((found, from_file), (read, stated)):
+        made = rt.prediction.predict(known, put, name="carpet")
+        assert made.is_placed
+        assert " ".join(str(made).split()) in said
 
 
 def test_a_change_after_which_the_areas_do_not_fit_the_volume_is_doubted(cr2) -> None:
