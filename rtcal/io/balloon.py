@@ -52,19 +52,19 @@ def read(
     aim: Sequence[float],
     up: Sequence[float] = UPWARDS,
 ) -> Directivity:
-    """Return the directivity of a measured loudspeaker, per octave.
+    """Return the directivity of a loudspeaker from a file of measured levels, per octave.
 
-    The energy in an octave is the mean over the file's frequencies in this octave, or over its
-    third-octaves. Directions between those of a SOFA file are interpolated at every 5 degrees.
+    The energy in an octave is the mean over the file's frequencies or third-octaves in this octave. A
+    SOFA file is interpolated at every 5 degrees.
 
     Parameters
     ----------
     path : path
-        Path of a SOFA file (``rtcal[sofa]``), or of CLF's text.
+        Path of a SOFA file (``rtcal[sofa]``), or of a text in the Common Loudspeaker Format (CLF).
     frequencies : sequence of float (n_bands,)
         Octave bands in Hz.
     aim, up : (x, y, z)
-        Directions of the loudspeaker's axis and of its top in the room's coordinates.
+        Directions in which the loudspeaker's axis and its top point, in the room's coordinates.
 
     Raises
     ------

@@ -54,15 +54,15 @@ class _Boundary:
 
 
 def faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
-    """Return the faces of one space of a building model, with the materials that bound it.
+    """Return the faces of one space in a building model (IFC), with their materials.
 
-    ``path`` is that of the IFC file. ``unit`` must be None, because the file has its unit. ``space`` is
-    the name of the space, its long name or both; None if the model has one space. An outline whose ends
-    are within ``weld`` in m of each other is closed, and a note then says so.
+    ``unit`` must be None, because the file states its unit. ``space`` is the name of the space, its
+    long name or both; None if the model has one space. An outline whose ends are at most ``weld`` in m
+    apart is closed, with a note.
 
     Raises DataError for a file that cannot be read, a given unit, a model without spaces, an outline
-    that crosses itself, and an unknown space; the message then lists the spaces of the model. Raises
-    MissingDependencyError if ifcopenshell is not installed.
+    that crosses itself, and an unknown space. Raises MissingDependencyError if ifcopenshell is not
+    installed.
     """
     ifcopenshell = library(
         "IFC needs ifcopenshell: pip install 'rtcal[ifc]'; or export glTF of the room",

@@ -98,17 +98,18 @@ def read(
 ) -> Analysis:
     """Return the room-acoustic parameters of impulse responses in sound files or SOFA files.
 
-    Sound files may be WAV, FLAC and any other that soundfile reads. A part like ``LS1_MP3`` or
-    ``S1-R2`` of the file's name is its source and receiver; otherwise the source is ``S1`` and the
-    receiver has the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``; repeats are averaged and count
-    as one position. Positions in a SOFA file are named as in `rtcal.io.sofa.read`.
+    Sound files are WAV, FLAC and all others that soundfile reads. A part like ``LS1_MP3`` or ``S1-R2``
+    of the file's name is its source and receiver; otherwise the source is ``S1`` and the receiver has
+    the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``; repeats are averaged and count as one
+    position. Positions in a SOFA file are named as in `rtcal.io.sofa.read`.
 
     Parameters
     ----------
     path : path or sequence of paths
         Path of the file, or paths of several files, one per position or repeat.
     bands, minimum_range, progress
-        Bands to evaluate, needed impulse-to-noise ratios, and function that is called: see `analyse`.
+        Bands to evaluate, impulse-to-noise ratios that parameters need, and function that is called
+        after each response: see `analyse`.
     channels : int or "receivers", optional
         Number of the channel to read, from 1, for files with several channels; or "receivers" if each
         channel is a receiver. For a figure-of-eight or Ambisonics microphone, give the channel of the
@@ -134,10 +135,10 @@ def responses_of(
     repeats: bool,
     doubts: list[str],
 ) -> dict[tuple[str, str], Response]:
-    """Return the impulse responses in files by source and receiver, whose names are as in `read`.
+    """Return the impulse responses in files, by source and receiver.
 
-    ``path``, ``channels``, ``repeats`` and the errors are those of `read`. Cautions about the files are
-    added to the list ``doubts``.
+    The parameters and errors are those of `read`. Cautions about the files are added to the list
+    ``doubts``.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
@@ -184,10 +185,10 @@ class Floor(Enum):
 class Analysis:
     """Hold the parameters of impulse responses, with reasons for missing values and cautions.
 
-    ``measurement`` has the values. ``impulse_to_noise_ratio`` (n_pairs, n_bands) is in dB, for repeats
-    the smallest. ``floors`` (n_pairs, n_bands) are the reasons that limit the level range of each
-    decay, such as noise. ``minimum_range`` is the impulse-to-noise ratio in dB that each parameter
-    needs.
+    ``measurement`` has the values. ``impulse_to_noise_ratio`` (n_pairs, n_bands) is in dB; if a pair
+    was measured repeatedly, it is the smallest. ``floors`` (n_pairs, n_bands) are the reasons that
+    limit the level range of each decay, such as noise. ``minimum_range`` is the impulse-to-noise ratio
+    in dB that each parameter needs, by name.
     """
 
     measurement: Measurement
@@ -242,8 +243,9 @@ class Analysis:
 def with_uncertainty(measurement: Measurement) -> Measurement:
     """Return the measurement with a standard uncertainty for each value, from theory and round robins.
 
-    Each value has the uncertainty of one noise-like response (`Observable.scatter`). In addition all
-    pairs of a band have in common the standard deviation between measuring teams (Bork 2005).
+    Each value has the uncertainty that follows from the random nature of one response
+    (`Observable.scatter`). An error that all pairs have in common has the standard deviation between
+    measuring teams (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
     times = measurement.reverberation_time
@@ -471,8 +473,9 @@ def assembled(
     """Return the analysis of all pairs, from the parameters of each response in each band.
 
     ``pairs`` are the (source, receiver) of the responses; repeats are averaged. ``found`` (n_pairs,
-    n_bands) has the parameters of each, and ``centres`` (n_bands,) are the bands in Hz. ``needed`` has
-    the impulse-to-noise ratio in dB that each parameter needs. Further notes are added to ``notes``.
+    n_bands) are the parameters. ``centres`` (n_bands,) are the bands in Hz. ``needed`` is the
+    impulse-to-noise ratio in dB that each parameter needs, by name. Further notes are added to
+    ``notes``.
     """
     fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
     values = {
@@ -579,8 +582,7 @@ def clipped_samples(time: Array) -> int:
     """Return the number of clipped samples of a response (n_samples,); 0 below `LEAST_CLIPPED`.
 
     A sample is clipped if it is exactly at the largest positive or negative value. A smooth maximum
-    that rounding has flattened does not count, because the samples beside it are only a few of the
-    file's steps lower.
+    that rounding has flattened does not count.
     """
     steps = np.abs(np.diff(time))
     if not steps.any():
@@ -605,11 +607,12 @@ def bandwidth_of(centre: Any, fractions: int) -> Any:
 
 
 class OfEnergy(NamedTuple):
-    """Hold the parameters of one squared response.
+    """Hold the parameters of one squared impulse response.
 
     ``values`` are the parameters for which the level range is large enough, by name. ``ratio`` is the
     impulse-to-noise ratio in dB, -inf if the response decays by less than 10 dB. ``floor`` is the
-    reason that limits the level range. ``late`` is True if the energy arrives later than in a decay.
+    reason that limits the level range. ``late`` is True if the energy arrives so late that the response
+    is no decay.
     """
 
     values: dict[str, float]
@@ -643,12 +646,12 @@ def of_energy(
     early: float = 0.0,
     early_samples: int = 0,
 ) -> OfEnergy:
-    """Return the parameters of one squared response, (n_samples,), that begins with the direct sound.
+    """Return the parameters of one squared impulse response that begins with the direct sound.
 
-    ``rate`` is the sampling rate in Hz. ``needed`` has the impulse-to-noise ratio in dB that each
-    parameter needs. ``centre`` and ``bandwidth`` are those of the band in Hz, None for all frequencies.
-    ``early`` is the energy that the band's filter has moved to the ``early_samples`` samples before the
-    direct sound; it counts as early sound.
+    ``energy`` (n_samples,) is the squared response, at the sampling ``rate`` in Hz. ``needed`` is the
+    impulse-to-noise ratio in dB that each parameter needs, by name. ``centre`` and ``bandwidth`` of the
+    band are in Hz; None without a band filter. ``early`` is the energy that the band filter moved to
+    the ``early_samples`` samples before the direct sound. It counts as early sound.
     """
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):

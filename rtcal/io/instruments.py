@@ -49,11 +49,11 @@ def _is_of_rew(content: bytes) -> bool:
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
-    """Return the tables of an instrument's text, one per measurement.
+    """Return the tables in the text that an instrument exported, one per measurement.
 
     ``content`` is that of the file and ``path`` its name in messages. If a text of REW has octaves and
-    third-octaves, select one by ``where={"BW (octaves)": "1/3"}``. Raises DataError, which names the
-    file and the line.
+    third-octaves, ``where={"BW (octaves)": "1/3"}`` selects third-octaves. Raises DataError, which
+    names the file and the line.
     """
     text = decode(content, path)
     if _AURORA in content[:200]:

@@ -77,12 +77,12 @@ _BESIDE = re.compile(
 
 
 def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
-    """Return the absorbers in a table of product data, or in a folder of tables, as a material list.
+    """Return the absorbers in tables of product data as a material list.
 
     Parameters
     ----------
     path : path
-        Path of the file or folder.
+        Path of a table, or of a folder of tables.
     columns : str, optional
         Meaning of each column in order, with the first line of values and optionally the last, for a
         table without usual headers: ``"from line 3: product; -; value [%] at 250 Hz; value [%] at 500

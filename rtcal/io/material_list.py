@@ -90,12 +90,11 @@ class ListedMaterial:
     """Hold one material of a program's material list.
 
     ``line`` is its line in the file, from 1. ``alpha`` and ``scattering`` (n_bands,) are coefficients
-    from 0 to 1, in the bands ``centre_frequencies`` in Hz; ``spans`` and ``scattering_spans`` are the
-    positions of their numbers in the file's text. ``unit`` is the factor from a number in the file to
-    the coefficient, 0.01 for percent. ``decimals`` is the number of decimals to write, None for all.
-    ``scattering_place`` is the position in the text for scattering that the file does not have yet.
-    ``source`` is the origin of the coefficients, "" for the list itself. ``doubt`` is a reason not to
-    use the coefficients, "" without one.
+    from 0 to 1, in the bands ``centre_frequencies`` in Hz. ``spans`` and ``scattering_spans`` are the
+    positions of their numbers in the file's text, and ``scattering_place`` is where scattering can be
+    inserted. ``unit`` is the factor from a number in the file to the coefficient, 0.01 for percent.
+    ``decimals`` is the number of decimals to write; None for all. ``source`` is the origin of the
+    coefficients, "" for the list itself. ``doubt`` is a reason not to use them, "" without one.
     """
 
     name: str
@@ -167,10 +166,10 @@ class ListedMaterial:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialList:
-    """Hold the materials of another program's file, and the file's text.
+    """Hold the materials in a simulation program's file, and the file's text.
 
-    ``path`` is the name of the file in messages. ``aliases`` has further names of materials, each with
-    the name in the file. ``scattering_text`` is a function that returns the text of scattering
+    ``path`` is the name of the file in messages. ``aliases`` maps further names of materials to the
+    names in the file. ``scattering_text`` is a function that returns the text of scattering
     coefficients, one per band, to write at `ListedMaterial.scattering_place`.
     """
 
@@ -216,12 +215,12 @@ class MaterialList:
         """Return a room of these materials.
 
         ``volume`` is in m³. ``areas`` are areas in m² by a material's name or alias, or surfaces, such
-        as those of a mesh. ``centre_frequencies`` are the room's bands in Hz; by default those that all
-        its materials have. Lists have no sigma: ``sigma`` has those that are known, by material, and
-        ``sigma_rule`` gives the others (by default max(0.3 alpha, 0.01)). ``scattering`` is the
+        as those of a mesh. ``centre_frequencies`` are the room's bands in Hz; None means the bands that
+        all its materials have. ``sigma`` has the known uncertainties of alpha, by material;
+        ``sigma_rule`` gives all others (None means max(0.3 alpha, 0.01)). ``scattering`` is the
         coefficient of materials without one; with None, the room has scattering only if all its
-        materials have. ``others`` are materials from another source, by name. ``air`` is that of the
-        room, None for air that absorbs nothing.
+        materials have. ``others`` are materials from another source, by name. ``air`` is the room's
+        air; None for air that absorbs nothing.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -298,10 +297,10 @@ class MaterialList:
         return listed
 
     def with_spellings(self, names: Iterable[str]) -> MaterialList:
-        """Return the list with aliases for names that differ from the list's names only by blanks.
+        """Return the list with aliases for ``names`` that it has with blanks in place of underscores.
 
-        ``names`` are such names, from a mesh: exporters write ``ceiling_plaster`` for "ceiling
-        plaster", or the reverse.
+        Exporters of meshes write ``ceiling_plaster`` for "ceiling plaster". The reverse is recognised,
+        too.
         """
         there = {*self.names, *self.aliases}
         aliases = dict(self.aliases)
@@ -324,13 +323,12 @@ class MaterialList:
         return room.in_bands(obtainable)
 
     def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
-        """Return the file with the room's coefficients, the room as a program reads it, and omissions.
+        """Return the file with a room's coefficients, the room as a program reads it, and omissions.
 
-        The omissions are the names of materials for which the file has no scattering; if there is one,
-        the room as it is read has no scattering at all. Octaves of the file get the means of the room's
-        third-octaves, and third-octaves the value of their octave. A number is replaced only if the
-        coefficient, rounded to the file's decimals, differs from it. Scattering is written where the
-        file or its format has a place for it.
+        The omissions are the names of materials for which the file can have no scattering; if there is
+        one, the room as it is read has no scattering at all. Octaves of the file get the means of the
+        room's third-octaves, and third-octaves the value of their octave. A number is replaced only if
+        the coefficient, rounded to the file's decimals, differs from it.
         """
         common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
         room = self._in_file_bands(room, sorted(common))
@@ -405,10 +403,10 @@ def _spelling(name: str) -> str:
 
 
 def coefficient(value: float, unit: float) -> float:
-    """Return the coefficient that a number in the file stands for.
+    """Return the coefficient for a number in a file.
 
     ``unit`` is the factor from the number to the coefficient, 0.01 for percent. Percent are divided by
-    100, not multiplied by 0.01, so that 7 gives exactly the float 0.07.
+    100, so that 7 gives exactly the float 0.07.
     """
     return value / round(1 / unit) if unit < 1 else value
 
@@ -471,13 +469,13 @@ LOST = {
 
 @dataclass(frozen=True, kw_only=True)
 class ExportReport:
-    """Hold the room as a program reads it from a written material list, and the effect on T.
+    """Hold a room as a program reads it from a written material list, and the effect of rounding on T.
 
-    ``template`` is the list whose numbers were changed, None for a new list. ``room`` is the exported
-    room in the file's bands. ``reverberation_time`` (n_bands,) is T of this room in s, and
-    ``reverberation_time_as_read`` that of the room as a program reads it, both by ``equation``.
-    ``bands_not_written`` are bands of the room in Hz that the file does not have for every material.
-    ``lost`` are properties of the room that the file cannot hold.
+    ``template`` is the list whose numbers were changed; None for a new list. ``room`` is the exported
+    room in the file's bands. ``reverberation_time`` (n_bands,) is T of ``room`` in s by ``equation``,
+    and ``reverberation_time_as_read`` that of the room as the program reads it. ``bands_not_written``
+    are bands of the room in Hz that the file does not have for every material. ``lost`` are properties
+    of the room that the file cannot hold.
     """
 
     path: str
@@ -538,11 +536,19 @@ class ExportReport:
 class Format:
     """Read and write the material lists of one simulation program.
 
-    ``parse`` is a function of a file's content, its path, and the further arguments of `read`; it
-    returns the `MaterialList`. ``new`` is a function of a room, whose materials are named as in the
-    list, and of their names in the room; it returns the content of a new list. ``bands`` returns the
-    bands in Hz of a new list, none if it has the room's. ``readable`` returns the name of a material in
-    a new list. ``prepared`` returns the list as it is to be changed for a room.
+    Attributes
+    ----------
+    parse : function
+        Function of a file's content, its path, and further arguments of `read`, which returns the
+        `MaterialList`.
+    new : function
+        Function of a room and of its materials' names, which returns the content of a new list. The
+        room's materials are named as in the list.
+    bands, readable : function
+        Functions that return the bands in Hz of a new list for a room (none for the room's own), and
+        the name in the list for a material's name.
+    prepared : function
+        Function that returns a list with the changes that a room needs before it is written.
     """
 
     parse: Callable[..., MaterialList]
@@ -579,9 +585,8 @@ class Format:
     ) -> ExportReport:
         """Write a room's coefficients into a program's material list, and return a report on it.
 
-        The list is a copy of ``template``, or else the existing file at ``path``, in which only the
-        numbers of alpha and scattering that change are replaced. If neither exists, a new list is
-        written.
+        The list is a copy of ``template``, or of the existing file at ``path``, in which only the
+        numbers of alpha and scattering that change are replaced. Without either, a new list is written.
 
         Parameters
         ----------
@@ -590,7 +595,8 @@ class Format:
         path, template : path
             Paths of the list to write, and of the list whose text is kept.
         equation : LinearEquation, optional
-            Reverberation equation for the effect of the rounding on T; Eyring's by default.
+            Reverberation equation with which the report shows the effect of rounding on T; by default
+            Eyring's.
         decimals : int, optional
             Number of decimals of a coefficient, 3 for a tenth of a percent; by default that of the
             format.
@@ -598,14 +604,14 @@ class Format:
             What to do if the room lacks a band that a new list needs: raise an error, or write the
             coefficients of the nearest band.
         entries : mapping of str to str, optional
-            Name in the file of each material that has another name there, by the name in the room.
+            Names in the file of materials that have another name there, by the name in the room.
         selected
             Further arguments of this format, as for `read`.
 
         Raises
         ------
         DataError
-            For a material that the file lacks, and for a file that cannot be read or written.
+            For a material that the file does not have, and for a file that cannot be read or written.
         """
         whole = checks.instance("room", room, Room)
         room = whole.without_pieces
@@ -1274,7 +1280,7 @@ bras = Format(parse=_parse_bras, new=_new_bras)
 
 
 def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float]:
-    """Return the uncertainty sigma of each material in a CSV file, in the bands of this file.
+    """Return the standard uncertainty sigma of each material's alpha in a CSV file, by material.
 
     A row has one number per material, under ``material,sigma``, or one per band, under
     ``material,125,250,500``. Raises DataError, which names the file, the line and the rule.

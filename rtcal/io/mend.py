@@ -93,11 +93,11 @@ class Face(NamedTuple):
 
 @dataclass(frozen=True)
 class Faces:
-    """Hold the faces of a mesh as they are drawn, with the corners (n, 3) in m of each face.
+    """Hold the faces of a mesh as they are drawn.
 
-    ``polygons``, ``materials`` and ``names`` have one entry per face. ``path`` is the file's name, and
-    ``notes`` are on how the file was read. ``unit`` is the length of the file's unit in m, None if it
-    is not known.
+    ``polygons`` has the corners (n, 3) in m of each face, ``materials`` its material and ``names`` its
+    name. ``path`` is the file's name, and ``notes`` say how the file was read. ``unit`` is the length
+    of the file's unit in m; None if it is not known.
     """
 
     path: str
@@ -113,9 +113,9 @@ class Defect:
     """Hold one kind of defect of a mesh and its repair, in words.
 
     ``number`` is how often the defect was found, ``places`` are names or corners of the first few, and
-    ``area`` is the area of their faces in m². The effects are the changes of the room's volume in m³
-    and surface in m² by the repair. The uncertainties are standard uncertainties that remain: of the
-    volume in m³, and of each material's area in m².
+    ``area`` is the area of their faces in m². The repair changed the room's volume by ``volume_effect``
+    in m³ and its surface by ``area_effect`` in m². ``volume_uncertainty`` in m³ and
+    ``area_uncertainty`` in m², by material, are the standard uncertainties that remain.
     """
 
     kind: str
@@ -164,9 +164,9 @@ class Defect:
 class Mended:
     """Hold the geometry of a room that was read from a mesh, and the defects that were repaired.
 
-    If the walls do not close, the room cannot be traced and ``geometry`` is None. The ``volume`` in m³
-    is then estimated by rays (`volume_by_rays`), and the ``areas`` in m² by material are those of all
-    faces as drawn. ``size`` is the box around the room: its lengths along x, y and z in m.
+    ``volume`` is in m³, and ``areas`` are in m² by material. If the walls do not close, ``geometry`` is
+    None, the volume is estimated with rays, and the areas are those of all faces as drawn. ``size`` has
+    the lengths in m of the box around the room, along x, y and z.
     """
 
     geometry: Polyhedron | None
@@ -204,9 +204,9 @@ class Mended:
 class MeshError(DataError):
     """Report a mesh that cannot be made a closed room.
 
-    ``reason`` is why, ``defects`` are all defects that were found, and ``edges`` (n, 2, 3) are the open
+    ``reason`` is why. ``defects`` are all defects that were found, and ``edges`` (n, 2, 3) are the open
     edges in m. If there are walls around the room, ``unclosed`` is the room as it is drawn, with an
-    estimated volume. If also all its faces are plane, ``leaking`` is its geometry with the holes.
+    estimated volume. If, moreover, all faces are plane, ``leaking`` is its geometry with the holes.
     """
 
     reason = ""
@@ -242,11 +242,11 @@ _LOOSE = "components hang free, or are walls that do not meet the others"
 
 
 class Mending:
-    """One mesh while it is repaired.
+    """Hold a mesh while it is repaired.
 
-    ``drawn`` are its faces. Corners within ``weld`` in m of each other are one. ``largest_hole`` is the
-    area in m² of the largest hole that is closed, None for a share of the walls' area. ``points`` (n,
-    3) are the corners in m of all its parts. ``repeated`` are faces that are drawn twice, each with the
+    ``drawn`` are its faces. Corners that are at most ``weld`` in m apart become one. ``largest_hole``
+    is the area in m² of the largest hole that is closed; None for a share of the walls' area.
+    ``points`` (n, 3) are the corners in m. ``repeated`` are faces that are drawn twice, each with the
     material of the face that is kept.
     """
 
@@ -274,12 +274,12 @@ class Mending:
         unsure: Iterable[tuple[str, float]] = (),
         done: str = "",
     ) -> None:
-        """Note a defect at these places; defects of one kind are noted together.
+        """Note defects of one ``kind`` at the given ``places``.
 
         ``area`` is that of the faces in m². ``volume`` and ``surface`` are the changes of the room's
         volume in m³ and surface in m² by the repair, and ``uncertainty`` is the standard uncertainty of
         the volume in m³ that remains. ``unsure`` are materials, each with the standard uncertainty of
-        its area in m². ``done`` says what the repair is; by default the usual one of this kind.
+        its area in m². ``done`` is the repair in words; "" for the usual one of this kind.
         """
         done, u, places = done or _DONE[kind], combined(unsure), tuple(places)
         none = self._found.get((kind, done)) or Defect(kind, 0, 0.0, 0.0, 0.0, 0.0, (), done)
@@ -642,8 +642,7 @@ def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> 
 def snapped(part: FaceSet) -> FaceSet:
     """Return the faces, with corners that are near an edge moved onto this edge.
 
-    A moved corner moves its own edges, so that other corners may then be near these: the search is
-    repeated, up to four times.
+    Because a moved corner moves its own edges, this is repeated up to four times.
     """
     mend, before = part.mend, part.areas
     edges = np.array(sorted({edge for corners in part.loops for edge in edges_of(corners)}))
@@ -681,10 +680,9 @@ def snapped(part: FaceSet) -> FaceSet:
 
 
 def joined(part: FaceSet) -> FaceSet:
-    """Return the faces of a mesh of triangles, with neighbours in one plane as one polygon.
+    """Return the faces of a mesh of triangles, with neighbours in one plane joined to one polygon.
 
-    The neighbours must have the same material. A group grows from its largest triangle, whose name the
-    polygon gets, and whose plane contains all corners of the group.
+    Only triangles of the same material are joined. The polygon has the name of its largest triangle.
     """
     mend, points, faces = part.mend, part.mend.points, part.faces
     if len(faces) < 8 or not all(len(face.corners) == 3 for face in faces):
@@ -764,10 +762,10 @@ _LOOPS = (
 
 
 def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
-    """Return the shell of the room, which may have holes, and the other components of the mesh.
+    """Return the shell of a room, which may have holes, and the other components of the mesh.
 
-    The shell is the component that encloses all others: the one with the largest box that is not flat.
-    A single face that fills a hole between the shell and an object belongs to the shell, too.
+    The shell is the component with the largest box around it that is not flat, and any single face that
+    fills a hole between this component and an object.
     """
     mend = part.mend
     parts = part.components()
@@ -855,10 +853,10 @@ def _hint(part: FaceSet, loop: list[int], others: Sequence[FaceSet]) -> str:
 
 
 def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> MeshError:
-    """Return the error of an open shell, with the room as it is drawn and its volume by rays.
+    """Return the error of a shell that does not close, with the room as drawn and its estimated volume.
 
-    ``others`` are the other components of the mesh. Rays cross the shell and closed objects. If the
-    shell has less than half of the area, the walls do not meet, and rays cross all faces.
+    ``others`` are the other components of the mesh. The volume is estimated with rays, which cross the
+    shell and closed objects. If the shell has less than half of the area, the rays cross all faces.
     """
     areas = Counter[str]()
     for part in (shell, *others):
@@ -965,7 +963,11 @@ _MOST_OF_ROOM = 1 / 3
 
 
 class Cut(NamedTuple):
-    """A piece of a face, as a shape on the wall of number ``wall`` that it lies ``away`` m before."""
+    """Hold a piece of a face that lies on a wall.
+
+    ``wall`` is the number of the wall, ``shape`` the outline of the piece in the wall's plane, and
+    ``away`` its distance in m from the wall.
+    """
 
     wall: int
     shape: Any
@@ -999,7 +1001,7 @@ class Walls:
 
 
 def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
-    """Return the pieces of a plane component on the walls nearest to it; [] if it lies on no wall."""
+    """Return the pieces of a plane component on the walls that it lies on; empty if it lies on none."""
     mend, corners = part.mend, part.points
     normal, thick = best_plane(corners)
     if thick > max(mend.weld, PLANARITY):
@@ -1017,11 +1019,10 @@ def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
 
 
 def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
-    """Move the faces of a closed object that are near a wall, and face the wall, onto it.
+    """Move faces of a closed object that are near a wall, and parallel to it, onto this wall.
 
-    A face is near if it is within the ``weld`` of the mesh, or if it reaches by up to `OFFSET` through
-    one of the first ``n_shell`` walls, the faces of the shell. Each is noted as a contact. A gap of
-    more than ``weld`` and up to `OFFSET` between a whole face and the shell is noted as a gap.
+    A face is near if it is at most ``weld`` in front of a wall, or reaches at most `OFFSET` through one
+    of the first ``n_shell`` walls, the walls of the room. A larger gap, up to `OFFSET`, is only noted.
     """
     mend, gaps, widest = part.mend, list[tuple[str, float]](), 0.0
     onto: dict[int, list[Polygon]] = {}
@@ -1058,10 +1059,9 @@ def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
 
 
 def stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
-    """Move open edges of an open object that are within `OFFSET` of walls onto them.
+    """Move open edges of an open object that are at most `OFFSET` from walls onto these walls.
 
-    The object's faces gain or lose the part between the old and the new edge. The standard uncertainty
-    of their area in m² by this is returned, by material.
+    Returns the standard uncertainty in m² by which this changes the areas, by material.
     """
     mend, edges = part.mend, part.open_edges()
     onto: dict[int, list[Polygon]] = {v: [] for edge in edges for v in edge}
@@ -1108,10 +1108,11 @@ _PLATE = 1e-5
 
 @dataclass
 class Cell:
-    """A space between faces, or a surface in a space, which has a ``volume`` in m³ below 0.
+    """Hold a space that faces enclose.
 
-    ``triangles`` (n, 3, 3) are the corners of the triangles around it in m. ``sides`` (n,) is 2 i for
-    the front of face i, to which its normal points, 2 i + 1 for its back, and -1 for edges.
+    ``volume`` is in m³; below 0 for the outside of faces that hang free in a space. ``triangles`` (n,
+    3, 3) are the corners in m of the triangles around the space. ``sides`` (n,) has the side of a face
+    that each belongs to: 2 i for the front of face i, 2 i + 1 for its back, and -1 for an edge.
     """
 
     volume: float
@@ -1130,8 +1131,7 @@ class Cell:
 def cells_of(part: FaceSet) -> list[Cell]:
     """Return the spaces that faces enclose, the largest first.
 
-    To find them, each triangle becomes a thin plate that reaches over the edges of the triangles beside
-    it. The spaces are the cavities in the union of all plates.
+    They are the cavities in the union of thin plates, one for each triangle, which overlap at edges.
     """
     needed = (
         "objects in a room and walls drawn as solids need manifold3d: pip install 'rtcal[mesh]'"
@@ -1181,10 +1181,10 @@ def cells_of(part: FaceSet) -> list[Cell]:
 
 
 def faces_around(cell: Cell, part: FaceSet, overlays: Sequence[Cut] = ()) -> FaceSet:
-    """Return the faces, or pieces of faces, around a space, with overlays in place of what they cover.
+    """Return the faces, or pieces of faces, around a space.
 
-    ``cell`` is the space, ``part`` are the faces, and ``overlays`` are pieces of faces that lie on
-    them. A face with the space on both of its sides becomes a plate of the thickness `THICKNESS`.
+    ``overlays`` are pieces of faces that lie on others and replace the part that they cover. A face
+    with the space on both of its sides becomes a plate of the thickness `THICKNESS`.
     """
     mend, out = part.mend, FaceSet(part.mend)
     flat = cell.triangles.reshape(-1, 3)
@@ -1271,9 +1271,9 @@ def room_of(
 ) -> Polyhedron:
     """Return the room in a closed shell, with the objects, panels and overlays in it.
 
-    ``others`` are the other components of the mesh. ``as_it_is`` is the geometry of the faces as they
-    are drawn, which is returned if no object touches another face; None if they have none. Raises
-    DataError if the faces around the room do not close.
+    ``others`` are the other components of the mesh. ``as_it_is`` is the geometry of all faces as drawn,
+    which is returned if no object touches another face; None if there is none. Raises DataError if the
+    faces around the room do not close.
     """
     mend, n = shell.mend, sum(len(part.faces) for part in (shell, *others))
     if n > MOST_FACES:
@@ -1422,9 +1422,8 @@ _LEAST_SHARE = 0.05
 def room_between(part: FaceSet) -> FaceSet | None:
     """Return the faces around the largest cavity between closed solids, such as walls drawn as solids.
 
-    Returns None if the faces are not several closed solids, or if one of the solids is a room that may
-    hold the others. The cavity is noted. Raises MeshError if all solids are thin and enclose no cavity,
-    because their faces then bound material and not air.
+    Returns None if the faces are not several closed solids, or if one of them may be the room. Raises
+    MeshError if the solids are thin, as walls are, and enclose no cavity.
     """
     mend = part.mend
     groups = _solids(part)
@@ -1479,13 +1478,12 @@ def _solids(part: FaceSet) -> list[FaceSet]:
 
 
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
-    """Return the closed room that the faces of a mesh bound, with the defects that were repaired.
+    """Return the room that the faces of a mesh enclose, and the defects of the mesh that were repaired.
 
-    If the faces close as they are drawn, they are not changed; closed objects stand in the room,
-    without the parts that touch other faces. Corners within ``weld`` in m of each other become one.
-    Holes up to ``largest_hole`` in m² are closed; with None, holes up to 1 % of the area of the walls.
-    Raises MeshError for a mesh without a closed room; its message has the defect, the place and the
-    repair.
+    Where a closed object touches a wall, the touching parts of both faces are removed. All other faces
+    are unchanged if they close as they are drawn. Corners that are at most ``weld`` in m apart become
+    one. Holes up to ``largest_hole`` in m² are closed; None means 1 % of the area of the walls. Raises
+    MeshError if the faces enclose no room; its message has the defect, the place and the repair.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:

@@ -88,16 +88,16 @@ def read(
     path : path
         Path of the mesh, in one of the formats of `READERS`.
     unit : float, optional
-        Length of the file's unit in m; by default that in the file, or else 1.
+        Length of the file's unit in m; by default as stated in the file, or else 1.
     space : str, optional
         Name of the space to read, for a building model (IFC) with several spaces.
     weld : float
-        Largest distance in m between the ends of an outline at which it is closed, in a building model.
+        Largest gap in m between the ends of an outline that is closed, in a building model.
 
     Raises
     ------
     DataError
-        For a format that is not read, and for a broken file. The message has the next step.
+        For a format that is not read, and for a broken file.
     MissingDependencyError
         If the format needs trimesh or ifcopenshell, which is not installed.
     """
@@ -165,10 +165,10 @@ def room(
     weld: float = WELD,
     largest_hole: float | None = None,
 ) -> Mended:
-    """Return the closed room of a mesh file, with the defects that were repaired.
+    """Return the room that the faces of a mesh file enclose, and the defects that were repaired.
 
-    ``unit``, ``space`` and ``weld`` are as in `read`, and ``weld`` and ``largest_hole`` as in
-    `rtcal.io.mend.mended`; the errors are those of these two functions.
+    For ``unit`` and ``space`` see `read`, for ``weld`` and ``largest_hole`` `rtcal.io.mend.mended`. The
+    errors are those of these two functions.
     """
     faces = read(path, unit=unit, space=space, weld=weld)
     try:

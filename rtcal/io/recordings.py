@@ -72,12 +72,12 @@ def from_sweep(
     repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Return the room-acoustic parameters from recordings of a sweep, in bands.
+    """Return the room-acoustic parameters (T20, EDT, C80, ...) from recordings of a sweep, in bands.
 
     Parameters
     ----------
     path : path or sequence of paths
-        Path of the recording, or paths of several, with source and receiver in their names as for
+        Path of one or several recordings, with source and receiver in the name as for
         `rtcal.io.impulse_responses.read`.
     sweep : path
         File of the signal that was played, with one channel and the recordings' sampling rate. Any
@@ -92,7 +92,8 @@ def from_sweep(
     ------
     DataError
         For files that cannot be read, for different sampling rates, for a given band that the sweep
-        does not excite, and for a recording without the whole sweep, or that is the sweep itself.
+        does not excite, and for a recording that does not contain the whole sweep or is the sweep
+        itself.
     """
     doubts = list[str]()
     given = [*ir.responses_of(sweep, 1, False, doubts).values()]
@@ -179,16 +180,16 @@ def _refined(energy: Array, seconds: float, low: float, high: float) -> tuple[fl
 def impulse_response(
     recorded: Array, played: Array, rate: float, ends: tuple[float, float], place: str
 ) -> Array:
-    """Return the impulse response of a recording, (n_samples,), from shortly before its peak.
+    """Return the impulse response (n_samples,) from a recorded signal, from shortly before its peak.
 
     Parameters
     ----------
     recorded, played : array (n_samples,)
-        The recording, and the signal that was played.
+        Recording, and signal that was played.
     rate : float
         Sampling rate of both in Hz.
     ends : (lowest, highest)
-        Frequencies in Hz between which the signal has energy.
+        Frequencies in Hz between which the played signal has energy.
     place : str
         Name of the recording in messages.
 
@@ -323,9 +324,9 @@ def interrupted(
 ) -> Analysis:
     """Return T20 and T30 from recordings of interrupted noise, in bands.
 
-    Each recording may have one or several decays. All decays at a position are averaged, including
-    those of repeats. Arguments are those of `rtcal.io.impulse_responses.read`. The uncertainty is that
-    of the mean, if there are two or more decays.
+    Each recording may have several decays. All decays at a position are averaged, including those of
+    repeats. The uncertainty is that of the mean, if there are two or more decays. Parameters are those
+    of `rtcal.io.impulse_responses.read`.
 
     Raises
     ------

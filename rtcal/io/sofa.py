@@ -44,9 +44,10 @@ Point = tuple[float, float, float]
 class Responses:
     """Hold the impulse responses of a SOFA file, with their positions.
 
-    The samples are (n_measurements, n_channels, n_samples), and their rate is in Hz. A channel is a
-    microphone of an array, or an emitter. ``pairs`` are the source and receiver of each measurement; a
-    pair may occur several times. Positions are in m, in the coordinates of the file.
+    ``samples`` are (n_measurements, n_channels, n_samples), and ``sampling_rate`` is in Hz. A channel
+    is a microphone of an array, or an emitter. ``pairs`` are the source and receiver of each
+    measurement; a pair may occur several times. ``sources`` and ``receivers`` are positions in m, in
+    the coordinates of the file. ``convention`` is the SOFA convention.
     """
 
     pairs: tuple[tuple[str, str], ...]
@@ -57,9 +58,9 @@ class Responses:
     convention: str
 
     def placed(self, scene: Scene) -> tuple[Responses, str]:
-        """Return the responses with the room's names of positions, and a sentence on changed names.
+        """Return the responses with a room's names of the positions, and a note on changed names.
 
-        ``scene`` has the room's sources and receivers. The sentence is "" if no name changed. Raises
+        ``scene`` has the room's sources and receivers. The note is "" if no name changed. Raises
         DataError for a position that is not within `NEAR` of a source or receiver of the scene.
         """
         names, changed = [], []
@@ -162,12 +163,12 @@ class _File:
 
 
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
-    """Return the directions, the radiated energy and the frequencies of a source in a SOFA file.
+    """Return the directions, radiated energies and frequencies of a directivity in a SOFA file.
 
-    The directions are unit vectors (n_directions, 3), with components along the axis (``SourceView``),
-    to its top (``SourceUp``) and to its left. The energy (n_directions, n_frequencies) is in any unit,
-    the frequencies are in Hz. Raises the errors of `read`, and DataError for a convention that is not
-    among `DIRECTIVITY_CONVENTIONS`, several measurements, or a source whose top is along its axis.
+    The directions (n_directions, 3) are unit vectors with components along the source's axis, to its
+    top and to its left. The energies (n_directions, n_frequencies) are in any unit, and the frequencies
+    in Hz. Raises the errors of `read`, and DataError for a convention that is not among
+    `DIRECTIVITY_CONVENTIONS`, for several measurements, and for a source whose top is along its axis.
     """
     file = _File(path)
     place, convention = file.path, file.convention

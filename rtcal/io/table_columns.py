@@ -134,7 +134,9 @@ def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
 
 
 def parameter_of(text: str) -> str:
-    """Return the parameter that a spelling stands for: `OPEN` for "RT60", "" for an unknown spelling.
+    """Return the name of the parameter for a spelling; "" for an unknown spelling.
+
+    "RT60" may mean several parameters, and gives `OPEN`.
 
     Examples
     --------
@@ -147,11 +149,10 @@ def parameter_of(text: str) -> str:
 
 
 def statistic_of(name: str) -> str | None:
-    """Return the statistic over positions that a row, column or sheet is called after, else None.
+    """Return the kind of statistic that the name of a row, column or sheet means, or None.
 
-    The statistic is "value" for a mean, "standard_deviation", and "" for a statistic that is not read
-    (the least, the median, a number of positions). It is `DOUBTFUL` for a name that has such a word
-    beside others.
+    It is "value" for a mean, "standard_deviation", or "" for a statistic that is not read (the least,
+    the median, a number of positions). `DOUBTFUL` means that the name may be a statistic or a position.
 
     Examples
     --------
@@ -185,7 +186,7 @@ def _is_parameter(word: str) -> bool:
 
 
 def is_missing(cell: str) -> bool:
-    """Return whether a cell has no value: it is empty, a dash of any kind or a word for it.
+    """Return whether a cell has no value: it is empty, a dash, or a word such as "N/A".
 
     Examples
     --------
@@ -200,10 +201,10 @@ class Column:
     """Hold the meaning of a table's column, from its header.
 
     ``kind`` is "value" for a column of values, "" for a column that is left out, and otherwise the word
-    for what its cells name, such as the band of a row (``words.toml``). For a column of values,
-    ``parameter`` is `OPEN` if the header does not say which decay time it has. Parameter and position
-    are "", and ``band`` in Hz is NaN, if each row names its own. ``wrong`` is an error of the header,
-    such as an unknown unit, and "" without one.
+    for what its cells name, such as "band". For a column of values, ``parameter``, ``source``,
+    ``receiver``, ``unit`` and ``band`` in Hz are those in the header; "" or NaN if it has none, and
+    `OPEN` if it does not say which decay time it has. ``wrong`` is an error of the header, such as an
+    unknown unit; "" without one.
     """
 
     kind: str
@@ -273,10 +274,11 @@ _EXAMPLES = (
 
 
 def columns_of(header: Sequence[str], extra: Collection[str] = ()) -> list[Column | None]:
-    """Return the column of each cell of a header, None for an unknown one.
+    """Return the meaning of each column of a table, from its header; None for an unknown header.
 
-    "R2" is a correlation, but a receiver if another header is a receiver. A statistic such as "Mean"
-    among positions is left out. ``extra`` are headers that may be unknown.
+    ``header`` has the text of each column. "R2" is a correlation, or a receiver if another column is a
+    receiver. A statistic such as "Mean" among positions is left out. ``extra`` are headers that may be
+    unknown: their columns are left out.
     """
     in_khz = any(name_and_unit(name)[1].lower() == "khz" for name in header)
     if in_khz and any((frequency_of(name) or 1) < 1 for name in header):
@@ -314,7 +316,7 @@ def with_units(
 
 
 def column_of(header: str) -> Column | None:
-    """Return the column of a header, None if the header is unknown.
+    """Return the meaning of one column of a table, from its header; None for an unknown header.
 
     Examples
     --------
@@ -409,7 +411,9 @@ def scale_of(parameter: str, unit: str) -> float:
 
 
 def position_of(text: str) -> tuple[str, str] | None:
-    """Return source and receiver that a text names, "" for no source; None for another text.
+    """Return the source and receiver that a text names; None if it names no receiver.
+
+    The source is "" if the text names only a receiver.
 
     Examples
     --------
@@ -426,7 +430,7 @@ def position_of(text: str) -> tuple[str, str] | None:
 
 
 def repeat_of(text: str) -> str | None:
-    """Return the name of a repeat, such as ``S1R3#2``, from another usual way to write it, else None.
+    """Return rtcal's name of a repeat, such as ``S1R3#2``, for another usual name, or None.
 
     Examples
     --------
@@ -440,7 +444,7 @@ def repeat_of(text: str) -> str | None:
 
 
 def position_in(text: str) -> tuple[str, str] | None:
-    """Return source and receiver that stand within a text, such as a file's name; None without these.
+    """Return the source and receiver within a text, such as a file's name; None if there are none.
 
     Examples
     --------
@@ -483,7 +487,7 @@ def frequency_of(text: str) -> float | None:
 
 
 def nearest_band(frequency: float) -> float | None:
-    """Return the nominal band whose exact centre is within 3 % of a frequency, None without one.
+    """Return the nominal band whose exact centre is within 3 % of a frequency in Hz, or None.
 
     Examples
     --------

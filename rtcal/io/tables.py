@@ -180,10 +180,10 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
     Other Parameters
     ----------------
     decay_time : {"t20", "t30"}, optional
-        Decay time that a column "RT60" or "T60" has.
+        Parameter that a column "RT60" or "T60" means.
     parameter : str, optional
-        Parameter of values for which the table has no name. Like ``decay_time``, it is an error if the
-        names in the table are complete.
+        Parameter of values for which the table has no name. It is an error to give it, or
+        ``decay_time``, if the table does not need it.
     where : mapping of str to str, optional
         Selection of rows by the entry in a column: ``{"room": "CR2"}``.
     columns : str, optional
@@ -249,8 +249,8 @@ def parse(
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
     """Return the measurement in rtcal's CSV file, a workbook, or a text of REW.
 
-    The result's ``columns`` is empty for rtcal's CSV file. Raises DataError for any other text, as
-    `rtcal.Measurement.from_file` does: check the columns of such a text first, with ``rtcal table``.
+    Raises DataError for any other text: read such a text with ``rtcal table`` first, and check how its
+    columns are read.
     """
     content = read_bytes(path, MAX_BYTES)
     if any(module.recognises(content) for module in FORMATS):
@@ -273,10 +273,11 @@ def sheets_of(
     where: Mapping[str, str] | None = None,
     extra: Collection[str] = (),
 ) -> list[Sheet]:
-    """Return the tables of a file, read by the first of `FORMATS` that recognises it, or else as text.
+    """Return the tables in a file: those of an instrument or a workbook, or else of a plain text.
 
-    ``content`` is that of the file, ``path`` its name in messages. ``where`` selects octaves or
-    third-octaves in a text of REW; None reads it as it is. ``extra`` are headers that may be unknown.
+    ``content`` is that of the file, and ``path`` its name in messages. ``where`` selects octaves or
+    third-octaves in a text of REW; None reads both. ``extra`` are headers of columns that may be
+    unknown.
     """
     for module in FORMATS:
         if module.recognises(content):
@@ -485,9 +486,9 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
 
 
 def stated_columns(sheet: Sheet, stated_text: str, *kinds: str) -> tuple[range, list[Column]]:
-    """Return the lines with values, and each column, that the option ``columns`` states.
+    """Return the lines of a table that have values, and its columns, as the user's text describes them.
 
-    ``stated_text`` is the text of this option. ``kinds`` are further meanings that a column may have,
+    ``stated_text`` is this text, the option ``columns``. ``kinds`` are meanings that a column may have
     besides those of measured values.
     """
     found, lines = _LINES.fullmatch(stated_text), [line for line, _ in sheet.rows]

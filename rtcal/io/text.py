@@ -53,9 +53,8 @@ class Text:
 def decode(content: bytes, path: str = "file") -> Text:
     """Return a file's text, by its byte order mark, or else as UTF-8, or else as Windows-1252.
 
-    Windows-1252 leaves five bytes undefined; a file that has one of these is read as ISO 8859-1.
-    ``path`` is the file's name in messages. Raises DataError if the bytes violate the encoding that the
-    byte order mark states.
+    A file with bytes that Windows-1252 does not define is read as ISO 8859-1. ``path`` is the file's
+    name in messages. Raises DataError if the bytes violate the encoding of the byte order mark.
     """
     checks.content(path, content)
     for mark, codec in _BYTE_ORDER_MARKS.items():
@@ -91,7 +90,9 @@ def lines(characters: str) -> Iterator[tuple[int, int, str]]:
 
 
 def number(token: str, place: str) -> float:
-    """Return the decimal number in a text, also with a typographic minus; DataError for any other text.
+    """Return the decimal number in a text, also with a typographic minus.
+
+    ``place`` is the text's place in messages. Raises DataError for any other text.
 
     Examples
     --------
@@ -109,7 +110,7 @@ def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
     """Return the numbers of a line that a person wrote, with decimal points or decimal commas.
 
     Blanks and semicolons separate numbers, and so do commas beside blanks. ``counts`` are the allowed
-    numbers of numbers: commas alone separate numbers if the line then has an allowed count, and are
+    counts of numbers. Commas alone separate numbers if the line then has an allowed count, and are
     decimal commas if the line then has twice such a count. ``place`` is the name of the line in
     messages. Raises DataError for a text that is no number, and for another count.
 
@@ -160,12 +161,12 @@ _GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")
 
 @dataclass(frozen=True)
 class Sheet:
-    """The cells of one table of a file.
+    """Hold the cells of one table of a file.
 
-    ``place`` is the name of the table in messages: the file, and its sheet. ``note``, the first line of
-    the report, says how the cells were read; ``notes`` are further lines. ``name`` is the table's own
-    name, which may state a parameter or a position. ``position`` is source and receiver of values whose
-    rows and columns name none. ``separator`` is that of the cells in a text.
+    ``rows`` are the lines with their numbers and cells. ``place`` is the name of the table in messages:
+    the file, and its sheet. ``note`` says how the cells were read; ``notes`` are further notes.
+    ``name`` is the table's own name. ``position`` is the source and receiver of values for which rows
+    and columns name none. ``separator`` is that of the cells in a text.
     """
 
     place: str
@@ -178,11 +179,11 @@ class Sheet:
 
 
 def sheets_of_text(text: Text, path: str) -> list[Sheet]:
-    """Return the cells of a table's text by each separator that it may have, the likeliest first.
+    """Return the table in a text, once for each possible separator of its cells, the likeliest first.
 
-    The likeliest separator divides most lines into equally many cells. A text without any separator is
-    divided into columns that are aligned by blanks. Raises DataError for a text that is no table of
-    cells.
+    The likeliest separator divides most lines into equally many cells. A text without a separator is
+    divided into columns that are aligned by blanks. ``path`` is the file's name in messages. Raises
+    DataError for a text that is no table.
     """
     head, _, tail = text.characters.partition("\n")
     stated = head.strip().strip('"').lower()

@@ -72,7 +72,7 @@ _WORD = re.compile(r"(?!e[+-]?\d)[a-z/]+[\d²³]*")
 
 
 def sides(text: str) -> tuple[tuple[float, float, float], float]:
-    r"""Return length, width and height in m as people write them, and the length of their unit in m.
+    r"""Return the length, width and height in m that a text gives, and the length of its unit in m.
 
     Raises DataError for a text that is not three such numbers.
 
@@ -161,12 +161,12 @@ def size_doubt(
     is_stated: bool = False,
     advice: Advice = OF_MESH,
 ) -> str:
-    """Return the doubt about a room's size that few rooms have, with the size in other units, or "".
+    """Return a sentence that few rooms have this size, with the size in other units, or "".
 
-    ``volume`` is in m³, and ``size`` has the lengths in m of the box around the room, () if not known;
-    both are those with the length ``unit`` in m of the file's unit. If ``is_stated``, the user, the
-    file or its format states the unit, and a volume that only few rooms have is then no reason for
-    doubt. ``advice`` has the texts that advise on it.
+    ``volume`` in m³ and ``size``, the lengths in m of the box around the room (empty if not known),
+    follow from the length ``unit`` in m of the file's unit. If ``is_stated`` is True, this unit is
+    certain, and only a volume that nearly no room has is doubted. ``advice`` has the texts of the
+    advice.
 
     Examples
     --------

@@ -50,10 +50,10 @@ def recognises(content: bytes) -> bool:
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
-    """Return the visible sheets of a workbook that have a cell.
+    """Return the visible sheets of a workbook that are not empty.
 
-    ``content`` is that of the workbook and ``path`` its name in messages. ``where`` selects rows later,
-    and is not used here. Raises DataError, which names sheet and cell.
+    ``content`` is that of the workbook and ``path`` its name in messages. ``where`` is not used. Raises
+    DataError, which names sheet and cell.
     """
     for start, is_format in _OTHERS.items():
         if content.startswith(start):
@@ -200,9 +200,8 @@ def content(tables: Mapping[str, Sequence[Sequence[Any]]]) -> bytes:
     """Return the bytes of a workbook with one sheet per table.
 
     ``tables`` has the rows of each table by its name: a header, and rows of values or None. The header
-    is in row 1 and the values begin in A2, so that another workbook can refer to a cell and finds it
-    there after the next calibration, too. Raises DataError for two tables whose names Excel does not
-    distinguish.
+    is in row 1, and the values begin in cell A2. Raises DataError for two tables whose names Excel does
+    not distinguish.
     """
     openpyxl = _library()
     book = openpyxl.Workbook()
