@@ -42,8 +42,8 @@ _BINS = 2000  # of an exponential decay over twice its T
 class Comparison(Result):
     """Deviation of a simulation run from the measurement, by parameter, band and pair.
 
-    Each table is a mapping from a parameter, such as ``"t20"``, to values (n_bands,), or (n_pairs,
-    n_bands) for source-receiver pairs.
+    Its tables are mappings from a parameter, such as ``"t20"``, to values (n_bands,) of the means, or
+    (n_pairs, n_bands) of the source-receiver pairs.
     """
 
     record_kind: ClassVar[str] = "comparison"

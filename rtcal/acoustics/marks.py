@@ -466,7 +466,7 @@ _CORRECTED = 0.2
 """Largest relative difference from the box with which an area counts as mistyped by such a factor."""
 
 
-def surface_limits(room: Room, flattest: float = FLATTEST) -> tuple[float, float]:
+def _surface_limits(room: Room, flattest: float = FLATTEST) -> tuple[float, float]:
     """Return the least and the largest likely surface of a room in m², from its size.
 
     The limits follow from the room's dimensions. Without dimensions they follow from its volume: the
@@ -488,9 +488,9 @@ def _surface_of_box(x: float, y: float, z: float) -> float:
 def likely_slips(room: Room) -> list[tuple[str, Room]]:
     """Return likely slips of a decimal point, each as a text and the room with the corrected value.
 
-    A slip is an area, or the volume, that is 10 or 100 times too large or too small. The corrected room
-    has a likely surface (`surface_limits`). The list is empty where the surface is likely already, and
-    where more than two slips could be the reason.
+    A slip is an area, or the volume, that is 10 or 100 times too large or too small. The surface of the
+    corrected room fits its dimensions or volume. The list is empty if the surface of ``room`` fits
+    already, and if more than two slips could be the reason.
 
     Examples
     --------
@@ -500,7 +500,7 @@ def likely_slips(room: Room) -> list[tuple[str, Room]]:
     >>> [text for text, _ in likely_slips(room)]
     ['area of "floor" = 200 m², for 20 m²']
     """
-    least, most = surface_limits(room)
+    least, most = _surface_limits(room)
     if least <= room.total_area <= most:
         return []
     for factors in _SLIPS:
@@ -510,12 +510,12 @@ def likely_slips(room: Room) -> list[tuple[str, Room]]:
             off = np.abs(total / _surface_of_box(*room.dimensions) - 1)
             found = [_slipped(room, *slips[np.argmin(off)])] if min(off) <= _CORRECTED else []
         else:
-            low, high = surface_limits(room, FLAT)
+            low, high = _surface_limits(room, FLAT)
             fits = np.flatnonzero((total >= low) & (total <= high))
             found = [_slipped(room, *slips[j]) for j in fits]
             for other in (room.replace(volume=room.volume * f) for f in factors):
                 text = f"volume = {room.volume:g} m³, for {other.volume:g} m³"
-                low, high = surface_limits(other, FLAT)
+                low, high = _surface_limits(other, FLAT)
                 found += [(text, other)] if low <= other.total_area <= high else []
         if found:
             return found if len(found) <= 2 else []
@@ -542,7 +542,7 @@ def of_surface(room: Room) -> list[TrustMark]:
     >>> of_surface(room.replace(volume=4000))[0].text
     'the areas add up to 202.5 m², but even a cube of 4000 m³ has 1512 m²'
     """
-    area, volume, (least, most) = room.total_area, room.volume, surface_limits(room)
+    area, volume, (least, most) = room.total_area, room.volume, _surface_limits(room)
     if least <= area <= most:
         return []
     if room.dimensions is not None:

@@ -121,10 +121,10 @@ class Observable(ABC):
         """Return a quantity linear in the absorption area that rises with the observed quantity."""
 
     def linear(self, observed: Array, stated: Array) -> Array:
-        """Return the deviation from reference values, in a quantity linear in the absorption area.
+        """Return the deviation from a reference, in a quantity linear in the absorption area.
 
-        ``observed`` and ``stated`` are the observed quantity of the values and of the reference, such
-        as ln T. The deviation is 0 at the reference; near it, its size is the relative change of the
+        ``observed`` are values of the observed quantity, such as ln T, and ``stated`` is its value at
+        the reference. Near the reference, the size of the deviation is the relative change of the
         absorption area.
         """
         at = self.rate(stated)
@@ -261,14 +261,14 @@ def register(kind: type[O]) -> type[O]:
             f"{place}: teams has {len(new.teams)} values; give one for each of {octaves} Hz"
         )
     if kind.__module__ != __name__:  # tests check the package's own
-        check_gradient(new)
+        _check_gradient(new)
     every = [*(o for o in OBSERVABLES.values() if o.key != new.key), new]
     OBSERVABLES.clear()
     OBSERVABLES.update({o.key: o for o in sorted(every, key=lambda o: o.rank)})
     return kind
 
 
-def check_gradient(observable: Observable) -> None:
+def _check_gradient(observable: Observable) -> None:
     """Raise DataError unless `Observable.gradient` is the derivative of the observed quantity.
 
     The derivative is compared with differences in an exponential decay with T = 1 s in 200 bins of 10
@@ -829,8 +829,8 @@ def _slope(m: Array) -> Array:
 class Level(Observable):
     """Relative level in dB, with a reference that is the same for all receivers of a source.
 
-    The relative level is sound strength G but for a constant, which only a calibrated source gives. If
-    G was measured, G is used in its place.
+    The relative level differs from sound strength G by a constant that only a calibrated source gives.
+    If G was measured, G is used in its place.
     """
 
     key, label, rank = "level", "level", 90

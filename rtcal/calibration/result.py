@@ -172,10 +172,7 @@ class JointResult(Result):
 
     @cached_property
     def active(self) -> Active:
-        """State of each coefficient: -1 at its lower bound, 1 at its upper bound, 0 between.
-
-        The shape is (n_materials, n_bands).
-        """
+        """State of each coefficient, (n_materials, n_bands): -1 at lower, 1 at upper bound, else 0."""
         return self.composition.layout.expand(self.at_bounds)
 
     @property
@@ -303,9 +300,9 @@ class JointResult(Result):
         """Standard deviation of the error of each unknown, (size,), if bounds are left out.
 
         The error is that of the unknown's linear estimate from T. The input has the covariance that the
-        room states, even if the method uses another. An unknown uncertainty of T counts as 0. With
-        linear observations the standard deviation is that of the normal distribution given the data,
-        and the input then has the covariance that the objective uses.
+        room states, even if the method uses another. An unknown uncertainty of T counts as 0. If the
+        calibration has a `LinearObservations` term, the standard deviation is that of the normal
+        distribution given all data, and the input has the covariance that the objective uses.
         """
         if self.composition.observations:
             return self._gaussian_sigma()
@@ -599,10 +596,7 @@ class CalibrationResult(Result):
 
     @cached_property
     def active(self) -> Active:
-        """State of each coefficient: -1 at its lower bound, 1 at its upper bound, 0 between.
-
-        The shape is (n_materials, n_bands).
-        """
+        """State of each coefficient, (n_materials, n_bands): -1 at lower, 1 at upper bound, else 0."""
         return read_only_view(self.joint.active[self._rows])
 
     @cached_property

@@ -395,7 +395,7 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
             "MatchWithin() or SoftMatch().",
         )
     of_materials = _of_materials(record)
-    if left := remaining_gap(record):
+    if left := _remaining_gap(record):
         fact, _, cause = left.partition(". ")
         level: Literal["open", "contradicts"] = (
             "contradicts" if of_materials.level == "contradicts" else "open"
@@ -536,7 +536,7 @@ def numbers(values: Sequence[float | None] | Array) -> Array:
     return np.array([np.nan if v is None else v for v in values])
 
 
-def remaining_gap(record: Mapping[str, Any]) -> str:
+def _remaining_gap(record: Mapping[str, Any]) -> str:
     """Return a sentence on bands in which the calibrated T differs from the measured T, and why.
 
     The sentence is "" if the calibrated room has every measured T, or if the calibration does not use

@@ -147,7 +147,7 @@ class Matched:
         return total
 
 
-def matched_times(
+def _matched_times(
     room: Room, measured: Measurement, data: MeasuredTimes, weights: Weights | None = None
 ) -> Matched:
     """Return the measured decay times that a loop matches.
@@ -1046,7 +1046,7 @@ def start(
                 raise run.nothing_common(measured, " or ".join(map(parameter_label, keys)))
         measured = both.measured
     data = times_in_room(prior, measured)
-    what = matched_times(prior, measured, data, weights)
+    what = _matched_times(prior, measured, data, weights)
     measured_means = means(measured.in_bands(prior.centre_frequencies))
     loop = Loop(
         prior=prior,

@@ -111,9 +111,9 @@ class MeasuredPairs:
         return np.isfinite(self.observations.values)
 
     def among(self, pairs: Sequence[Pair]) -> NDArray[np.int64]:
-        """Return the numbers of the used values among the values at all ``pairs``, (n_used,).
+        """Return the indices of the used values among all values of a simulator, (n_used,).
 
-        ``pairs`` are those of a simulator, whose order the numbers have.
+        The simulator's values are counted by parameter, by its ``pairs`` and by band, in this order.
         """
         n_parameters, _, n_bands = self.used.shape
         used = np.zeros((n_parameters, len(pairs), n_bands), dtype=bool)
@@ -140,7 +140,7 @@ def gap_at_pairs(simulated: Array, measured: Observations, *, relative: bool) ->
     for name, values in zip(measured.parameters, simulated, strict=True):
         model, wanted = observable(name).natural(values), measured.natural(name)
         if name == LEVEL.key and relative:
-            model = with_reference(model, wanted, measured.pairs)
+            model = _with_reference(model, wanted, measured.pairs)
         gaps.append(gap_jnd(model, wanted, name))
     return np.reshape(gaps, measured.values.shape)
 
@@ -224,9 +224,11 @@ def pairs_to_match(
         row = observations.parameters.index(LEVEL.key)
         columns = [simulated.pairs.index(pair) for pair in kept]
         levels = simulated.values[simulated.parameters.index(LEVEL.key)][columns]
-        compared = _with_level(observations, with_reference(observations.values[row], levels, kept))
+        compared = _with_level(
+            observations, _with_reference(observations.values[row], levels, kept)
+        )
         # Whatever the reference, the same data have the same name: by distances from their own mean.
-        own = with_reference(observations.values[row], np.zeros_like(levels), kept)
+        own = _with_reference(observations.values[row], np.zeros_like(levels), kept)
         observations = _with_level(observations, np.abs(own))
     return MeasuredPairs(
         observations=compared,
@@ -257,7 +259,7 @@ def left_out(exclude: Sequence[Pair]) -> str:
     return f"Left out, as asked for: {_names(exclude)}."
 
 
-def with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:
+def _with_reference(levels: Array, like: Array, pairs: Sequence[Pair]) -> Array:
     """Return levels (n_pairs, n_bands) in dB with the same reference as the levels ``like``.
 
     The levels are shifted so that both means over each source's pairs, where both are known, are equal
@@ -1149,7 +1151,7 @@ class Scattering:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaterialScattering:
-    """Hold how all values depend on the scattering coefficient of each material.
+    """Hold how all simulated values depend on the scattering coefficient of each material.
 
     ``slope`` (n, n_materials) are the derivatives of all values, n = parameters x pairs x bands, by the
     log odds of the scattering coefficients. ``traced`` (n_materials,) are the log odds that were

@@ -102,9 +102,9 @@ def simulator_error(
     The n values are the measured parameters at all pairs of the simulator. ``controls`` are the errors
     in reference simulations; None if they are unknown. ``groups`` (n_groups, n_parameters, n_pairs,
     n_bands) are the values of groups of paths; None for a simulator without paths. The second result is
-    None if the input scattering is kept. It can only be fitted for a `PathTracing` with the model
-    "random", because only its paths show the effect of scattering; coefficients of 0 and 1 are always
-    kept.
+    None if the input scattering is kept. Scattering can only be fitted for a `PathTracing` with the
+    model "random", because only its paths show the effect of scattering; coefficients of 0 and 1 are
+    always kept.
     """
     parameters = model.data.observations.parameters
     if controls is None:
@@ -128,8 +128,8 @@ def unexplained_errors(
     """Return each parameter's unexplained error in JND with which the data are most probable.
 
     This error is independent at each pair, because reference simulations vary what all pairs have in
-    common, but neither furniture nor directivity, which affect single pairs. A common factor of the
-    simulator's error would also explain a T that deviates at every pair, so that T would not be fitted.
+    common, but neither furniture nor directivity, which affect single pairs. An error common to all
+    pairs would also explain a T that deviates at every pair, so that T would not be fitted.
 
     ``innovation`` (n,) is measured minus simulated with the prior, ``expected`` (n, n) its covariance
     without the unexplained errors, ``unit`` (n,) one JND of each value, and ``parameter`` (n,) the

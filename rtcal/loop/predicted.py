@@ -339,8 +339,8 @@ class ChangedRoom:
 class State:
     """Hold a calibrated simulator's values in a state of the room, and their derivatives.
 
-    The rows of all results are values: the parameters ``match`` x pairs x bands. ``room`` has the
-    changes; without changes, the state is the measured one.
+    Results have one row for each value, in the order of the parameters ``match``, pairs and bands.
+    ``room`` has the changes; without changes, the state is the measured one.
     """
 
     def __init__(self, result: Any, room: ChangedRoom, match: Sequence[str]) -> None:
@@ -396,7 +396,7 @@ class State:
         """
         if not self.room.moves or complete(self.simulator).tracing is not self.simulator:
             return np.zeros((0, len(self.by_alpha)))
-        by_piece, parent, places = in_pieces(self.simulator, self.room.moves)
+        by_piece, parent, places = _in_pieces(self.simulator, self.room.moves)
 
         def simulated(alpha: Array) -> Array:
             alpha = np.clip(alpha, 0.0, 1.0)
@@ -430,7 +430,7 @@ _HALVINGS = 40
 """Of the interval that holds the edge of a cover: to the last digit."""
 
 
-def in_pieces(
+def _in_pieces(
     tracer: PathTracing, moves: Sequence[Move]
 ) -> tuple[PathTracing, NDArray[np.int64], list[NDArray[np.bool_]]]:
     """Return a path tracing whose surfaces are cut into pieces where partial covers may end.

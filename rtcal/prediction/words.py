@@ -240,7 +240,8 @@ class Shown:
     """Hold what a table of variants and a page show of a prediction: T, or the mean of a parameter.
 
     ``name`` is the parameter's name with its unit. ``before``, ``after`` and both ends of the 90 %
-    ``interval`` are (n_bands,). ``parts`` are the shares of the variance of ``of``, by cause.
+    ``interval`` are (n_bands,). ``parts`` are the shares of the variance of the quantity ``of``, by
+    cause.
     """
 
     name: str

@@ -142,7 +142,7 @@ def trace(
     )
     lost, counts, at = np.zeros(n_paths, np.bool_), np.zeros(4), np.zeros(4, np.int64)
     of_paths = origin, directions, seeds, longest, thinned, shares
-    while not advance(
+    while not _advance(
         of_paths, walls, vector, receivers, radii, state, events, heard, lost, counts, at
     ):
         events = tuple(_grown(of, at[2] + lanes * (n_receivers + 1)) for of in events)
@@ -162,7 +162,7 @@ def _grown(array: Any, needed: int) -> Any:
 
 
 @compiled(reorder=False)
-def advance(
+def _advance(
     of_paths: Any,
     walls: Any,
     vector: bool,

@@ -410,9 +410,9 @@ class Paths:
     `trace` returns these paths, and the methods return energies and derivatives. ``alpha``
     (n_materials, n_bands) are the coefficients, ``air_attenuation`` (n_bands,) is in 1/m, and
     ``bin_length`` in m is the width of the time bins times the speed of sound. The first bin starts
-    with the first sound, and there are as many bins as all pairs have. Energy is per area, in 1/m², for
-    a source of unit energy, so that the direct sound is 1/(4 pi r²). The scatter of the batches gives
-    the standard error.
+    with the first sound of a pair; bins that not all pairs have are cut off. Energy is per area, in
+    1/m², for a source of unit energy, so that the direct sound is 1/(4 pi r²). The scatter of the
+    batches gives the standard error.
     """
 
     batches: tuple[tuple[Batch, ...], ...]  # by source

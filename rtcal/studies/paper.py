@@ -120,7 +120,7 @@ def _rounded(value: Array, size: Array) -> Array:
     return np.where(np.abs(value) <= _ROUNDING * size, 0.0, value)
 
 
-def expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
+def _expected_errors(second_moment: Array, q: Array, areas: Array) -> Array:
     """Return the expected mean square error (EMSE) without and with each calibration, (..., 4).
 
     ``second_moment`` (..., n, n) is G = E ee' of the error e of the input coefficients. ``q`` (..., 3,
@@ -244,7 +244,7 @@ def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     bias = mu - mean
     second = bias[..., :, np.newaxis] * bias[..., np.newaxis, :]
     second += np.eye(areas.size) * variance[..., np.newaxis, :]
-    return expected_errors(second, directions(mu, sigma, areas), areas)
+    return _expected_errors(second, directions(mu, sigma, areas), areas)
 
 
 SIGMA_R = (0.01, 0.05, 0.1)
