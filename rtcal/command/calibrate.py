@@ -45,7 +45,7 @@ def calibrate(
     equation: Any,
     **stated: Any,
 ) -> None:
-    """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T, deviations and coefficients per band.
+    """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T and coefficients per band.
 
     \b
     Example: rtcal calibrate room.toml t20.csv --out calibrated
@@ -53,8 +53,9 @@ def calibrate(
     \b
     Example: rtcal calibrate room.toml --t20 "0.9 0.8 0.7 0.7 0.6 0.6"
 
-    `rtcal report calibrated` makes a page of the results. The equation then has the measured T; for
-    the T of your own program, `rtcal loop start --simulated` begins with what it gave.
+    `rtcal report calibrated` makes a page of the results. With the calibrated coefficients, the
+    reverberation equation gives the measured T. If your simulation program then gives another T,
+    calibrate with `rtcal loop start --simulated`.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.calibration import methods
 
@@ -130,16 +131,16 @@ def fit(
     modes: str | None,
     out: Path | None,
 ) -> None:
-    """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
+    """Calibrate ROOM (TOML) to every source-receiver pair of MEASURED (CSV) by path tracing.
 
-    ROOM names its mesh, sources and receivers (docs/files.md). Without a scattering coefficient of its
-    own or of --scattering, the fit starts at 0.1.
+    ROOM must have a mesh, sources and receivers (docs/files.md). If neither ROOM nor --scattering gives
+    a scattering coefficient, the fit starts at 0.1.
 
-    No fit ends farther from MEASURED than it began. Where no step leads nearer, the start is returned,
-    the exit code is 7, and nothing is written without --force.
+    If no step brings the simulation nearer to MEASURED, the exit code is 7, and nothing is written
+    without --force.
 
-    Four times as many paths as --paths are re-weighted. The reference simulations take most of the
-    time. They are kept beside ROOM, in .rtcal_cache, so that a second calibration is quicker.
+    Reference simulations take most of the time. They are kept beside ROOM, in .rtcal_cache, so that a
+    second calibration is quicker.
 
     Example: rtcal fit room.toml pairs.csv --out fitted
     """
@@ -218,12 +219,12 @@ def learn(
     scheduler: str | None,
     out: Path | None,
 ) -> None:
-    """Learn from the results below FOLDER, as rtcal calibrate --out writes them.
+    """Make a library of materials from the results of rtcal calibrate below FOLDER.
 
     Example: rtcal learn rooms --apply new.toml --out library
 
-    It prints each material's coefficients, how each room compares with the others, and which
-    material is likely misnamed. Nothing leaves this machine without --scheduler.
+    Prints each material's coefficients, how each room compares with the others, and which material is
+    likely misnamed. Nothing leaves this machine without --scheduler.
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import archive
@@ -297,7 +298,7 @@ def learn(
     console.folder("Folder for the tables (CSV) and figures (PNG)."),
 )
 def study(out: Path | None, **stated: Any) -> None:
-    """Simulate random rooms and score every calibration method, beside the paper's tables.
+    """Score every calibration method in random rooms, beside the tables of Bellows & Katz (2025).
 
     The same --seed gives the same tables.
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def as_options(text: str, arguments: Sequence[str]) -> str:
-    """Return a text with the command's options in place of Python's arguments.
+    """Return a message with the options of a command in place of Python's arguments.
 
     Examples
     --------
@@ -79,11 +79,11 @@ def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def texts(option: str, stated: Sequence[str], form: str, *, last: bool = False) -> dict[str, str]:
-    """Return the texts that a repeated option states as NAME=VALUE, by name.
+    """Return the texts that a repeated option gives as NAME=VALUE, by name.
 
-    ``option`` is the option's name and ``form`` the expected form, both for error messages. The first =
-    ends the name; with ``last`` True, the last = does. Raises DataError for another form, and for a
-    name that is given twice.
+    ``option`` is the option's name and ``form`` the expected form, both for error messages. ``stated``
+    are the user's texts. The name ends at the first =, or at the last one if ``last`` is True. Raises
+    DataError for another form, and for a name that is given twice.
     """
     by_name: dict[str, str] = {}
     for text in stated:
@@ -118,11 +118,11 @@ _LABEL = re.compile(r"[,;\s]*(?<![\d.])(\d+(?:\.\d+)?\s?(?:k\d*)?\s?(?:hz)?)\s*:
 def spectrum(
     option: str, text: str, bands: Sequence[float], *, alone: bool = False
 ) -> dict[float, float]:
-    """Return the values of an option by band in Hz, from "0.9 0.8" or "500:0.9, 1000:0.8".
+    """Return the values of an option by band in Hz, from a text like "0.9 0.8" or "500:0.9 1000:0.8".
 
-    The first form has one value for each of ``bands``, the second those of some bands. A single number
-    is the value of every band if ``alone`` is True. Decimals may have commas. Raises DataError for
-    another number of values, and for a text that is no band or no number.
+    The first form has one value for each of ``bands`` in Hz, the second has values for some of them. If
+    ``alone`` is True, a single number is the value of every band. Decimals may have commas. Raises
+    DataError for another number of values, and for a text that is no band or no number.
     """
     before, *labelled = _LABEL.split(text.strip())
     if not labelled:
@@ -157,8 +157,7 @@ ARGUMENTS = (
 def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Measurement:
     """Return the measurement in the file that a command takes.
 
-    A note on what was read from another program's format is printed once, and not if ``quietly`` is
-    True, because another command or step has printed it.
+    For another program's format, a note on what was read is printed once; not if ``quietly`` is True.
     """
     from rtcal.io import tables
 
@@ -257,11 +256,11 @@ def told_by_modes(
     measured: Measurement | None = None,
     equation: LinearEquation | None = None,
 ) -> ModesResult:
-    """Return the calibration to a table of modes, or to the modes of a SOFA file's responses.
+    """Return the calibration to a table of modes, or to the modes in a SOFA file's responses.
 
-    ``path`` is that of the table or SOFA file. ``measured`` has T, None for a calibration to the modes
-    alone. ``equation`` is the reverberation equation, None for Eyring's. After ten seconds the command
-    prints what it does. Raises DataError for the reasons of the files' readers.
+    ``path`` is that of the table or SOFA file. ``measured`` has T above the Schroeder frequency; None
+    for a calibration to the modes alone. ``equation`` is the reverberation equation; None for Eyring's.
+    Raises DataError for the reasons of the files' readers.
     """
     from rtcal.io import sofa
     from rtcal.modes import measured as tables
@@ -451,9 +450,9 @@ OPTIONS: dict[str, Decorator] = {
 def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> Decorator:
     """Return the decorator that adds arguments and options to a command, in this order.
 
-    A name in upper case is the path of a file, which may be left out if the name has a question mark;
-    any other name is an option of `OPTIONS`. With ``shared`` the options that all commands have follow:
-    --json, --quiet and, if the command ``writes`` files, --force.
+    A name in ``given`` in upper case is the path of a file, optional if the name ends in a question
+    mark. Any other name is an option of `OPTIONS`. If ``shared`` is True, --json and --quiet follow,
+    and --force if the command ``writes`` files.
     """
     last = (("json", "quiet", "force") if writes else ("json", "quiet")) if shared else ()
 
@@ -519,11 +518,11 @@ class CannotPrint(click.ClickException):
 def tell(
     text: str, record: Mapping[str, Any] | Callable[[], Mapping[str, Any]], then: str = ""
 ) -> None:
-    """Write the command's files, and print a text and the files' names or, with ``--json``, a record.
+    """Write the files of a command, then print ``text`` and their names, or with ``--json`` a record.
 
-    ``record`` may be a function, which makes the record only if it is printed. ``then`` is printed
-    below the files' names. With ``--quiet`` nothing is printed. Files are written first, because a
-    reader may close the output (``| head``). Raises CannotPrint if the output is closed or full.
+    ``record`` may be a function, which is called only if the record is printed. ``then`` is printed
+    below the files' names. With ``--quiet`` no text is printed. Raises CannotPrint if the output is
+    closed or full.
     """
     made = disk.commit()
     as_json = has("as_json")
@@ -571,10 +570,10 @@ def printing() -> Iterator[None]:
 
 
 def warn(message: object) -> None:
-    """Print a sentence on standard error, unless standard error is closed or full.
+    """Print a message on standard error, unless standard error is closed or full.
 
-    The sentence is one line, so that a log keeps it together. On a terminal, and if COLUMNS is set, the
-    message's own lines are printed below each other, wrapped.
+    The message is one line, so that a log keeps it together. On a terminal, and if COLUMNS is set, it
+    is wrapped.
     """
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
     parts = [printable(" ".join(part.split())) for part in f"rtcal: {message}".split("\n")]
@@ -584,10 +583,9 @@ def warn(message: object) -> None:
 
 
 def shown_warnings() -> Callable[..., None]:
-    """Return a function that prints a warning as one line, without its source.
+    """Return the function that prints warnings during a command, each as one line without its source.
 
-    The function replaces `warnings.showwarning`, and prints nothing with ``--quiet``. That a model has
-    few paths is printed once, and not for every model that is fitted.
+    It prints nothing with ``--quiet``, and prints only once that a model has few paths.
     """
     few = False
 

@@ -82,7 +82,7 @@ def measure(
 ) -> None:
     """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV, FLAC, AIFF, SOFA, ...).
 
-    Says why values are missing.
+    Prints why values are missing.
 
     Example: rtcal measure *.wav --out t.csv
 
@@ -247,8 +247,8 @@ def export(
 ) -> None:
     """Write ROOM's coefficients into a program's MATERIALS; print the effect of the rounding on T.
 
-    Numbers in the file MATERIALS are changed. If there is no such file, it becomes a new list of the
-    room's materials, without geometry. The first line says which.
+    Numbers in the file MATERIALS are changed. If there is no such file, a new list of the room's
+    materials is written, without geometry. The first printed line says which was done.
 
     Example: rtcal export catt calibrated/room.toml hall.geo
     """
@@ -351,11 +351,10 @@ _FIGURES = 3
     console.heading_options,
 )
 def report(result: str, out: str | None, heading: Heading) -> None:
-    """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
+    """Write RESULT as one HTML page with summary, cautions, tables and figures, or as a workbook.
 
-    RESULT is the folder of `rtcal calibrate`, `fit`, `find`, `predict` or `design --out`, its
-    result.json, the state of an `rtcal loop`, or the file of `Loop.save`. The page needs no
-    network and no other file. It can be printed.
+    RESULT is the folder that --out of `rtcal calibrate`, `fit`, `find`, `predict` or `design` wrote,
+    its result.json, or the --state of an `rtcal loop`. The page needs no network and no other file.
 
     \b
     Example: rtcal report calibrated \\

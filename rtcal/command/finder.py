@@ -130,9 +130,9 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
 
 
 def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
-    """Find what the room's model misses, or what changed.
+    """Return the finding for a command's options; it is kept, so that the same search is made once.
 
-    What is found is kept beside its file, as simulations are.
+    ``options`` are those of `rtcal find`, and ``targets`` are the files that the command will write.
     """
     from rtcal.finder import Case, search
 
@@ -224,9 +224,10 @@ def saved(path: str) -> tuple[Any, Any]:
 
 
 def verified(finding: Any, cache: Path, scheduler: str | None = None) -> Any:
-    """Return the gaps before and after; at pairs that were not fitted over `SEEDS`.
+    """Return the verification of a finding, or None if it cannot be verified.
 
-    It is None for a finding that cannot be verified.
+    It is kept in the folder ``cache``. At positions, several seeds are simulated. ``scheduler`` is the
+    address of a Dask scheduler; None simulates on this machine.
     """
     from rtcal import finder
 
@@ -256,10 +257,10 @@ def verified(finding: Any, cache: Path, scheduler: str | None = None) -> Any:
 def compare(
     room: str, measured: str, simulated: str | None, at: str | None, equation: Any, out: Path | None
 ) -> None:
-    """Compare what a program gave for ROOM (TOML) with MEASURED (CSV), by parameter, band and pair.
+    """Compare your program's results for ROOM (TOML) with MEASURED (CSV), by parameter, band and pair.
 
-    Without --simulated the equation's T is compared. It prints one sentence and one table, the
-    largest deviation first, in JND and in standard deviations.
+    Without --simulated, T of the reverberation equation is compared. Prints one sentence and one table
+    of the deviations in JND and in standard deviations, the largest first.
 
     Example: rtcal compare room.toml measured.csv --simulated run.csv --out gap
     """
@@ -327,23 +328,24 @@ def compare(
     console.heading_options,
 )
 def find(heading: Heading, out: str | None, **options: Any) -> None:
-    """Print whether the model misses something, where it shows, and what it is.
+    """Print whether something is missing from a room's model, and what it is.
 
-    A ROOM and what was MEASURED in it are two files. If ROOM states a mesh, sources and receivers, and
-    MEASURED has every pair of them, the answer says on which surface (docs/where.md). A CASE is one
-    file that names a room, its equation, and measurements by configuration (docs/files.md).
+    Give the files of a ROOM and of what was MEASURED in it. If ROOM has a mesh, sources and receivers,
+    and MEASURED has every pair of them, the answer says on which surface (docs/where.md). Or give one
+    CASE, a file that names a room, its equation, and measurements by configuration (docs/files.md).
 
-    The first search simulates reference rooms, which takes a minute or more. They, what is found and
-    its verification are kept beside ROOM or CASE, in .rtcal_cache: the same search is made once.
+    The first search simulates reference rooms, which takes a minute or more. Simulations and findings
+    are kept beside ROOM or CASE, in .rtcal_cache, so that a later search is quicker.
 
-    With --most 3, sets of up to three effects are compared, and each effect has the probability that it
-    is there at all. With --out the finding is kept for `rtcal verify`, `apply`, `plan` and `report`.
+    With --most 3, sets of up to three effects are compared, and the probability of an effect is that of
+    all sets that contain it. With --out the finding is written for `rtcal verify`, `apply`, `plan` and
+    `report`.
 
     With --simulated, your program's result is compared with the measurement in place of the equation's
-    T, so that an error of the equation is not taken for one of the room (docs/compare.md).
+    T, so that an error of the equation is not taken for an error of the model (docs/compare.md).
 
-    With --before, MEASURED was measured after a change of the room: the search finds what changed, and
-    by how much, whatever the room's coefficients are (docs/two_states.md).
+    With --before, MEASURED was measured after a change of the room. The search finds what changed, and
+    by how much, without using the room's coefficients (docs/two_states.md).
 
     \b
     Example: rtcal find room.toml measured.csv --out found
@@ -407,16 +409,17 @@ def verify(
     effect: str | None,
     out: Path | None,
 ) -> None:
-    """Add the named effect, calibrate again, and compare the deviations that alpha cannot remove.
+    """Verify that the effect which was found improves the model at data that it was not fitted to.
 
-    FOUND is the folder that `rtcal find --out` wrote. The verification shows whether the model gets
-    better, not whether the name of the effect is right, so that the other candidates are printed too.
-    With a geometry, and for two measurements, half of the pairs are fitted and the others predicted.
-    With --before and --after, the change that was found predicts further pairs.
+    FOUND is the folder that `rtcal find --out` wrote. The model is calibrated without and with the
+    effect, and the deviations that alpha cannot remove are compared. This shows whether the model gets
+    better, not whether the name of the effect is right; other candidates are therefore printed, too.
+    With a geometry, and with `rtcal find --before`, half of the pairs are fitted and the other half is
+    predicted. With --before and --after, the change that was found predicts further pairs.
 
-    If your program's simulation was given to `rtcal find`, --simulated is the program's result for the
-    corrected model, which `rtcal apply` describes. The two results are then compared, each scaled to
-    the measured T by the equation. --out writes the page with what was compared.
+    If your program's result was given to `rtcal find`, --simulated is its result for the corrected
+    model, which `rtcal apply` describes. The equation scales both results to the measured T before they
+    are compared. --out writes a page of the verification.
 
     \b
     Example: rtcal verify found
@@ -494,23 +497,23 @@ def apply(found: str, out: str, **options: Any) -> None:
 
     FOUND is the folder that `rtcal find --out` wrote. The most probable effect is added, or the most
     probable set of effects if you searched with --most 3. If its probability is below 0.3, you must
-    choose one by --effect. If nothing was detected (verdict none or hint), nothing can be added, also
-    not by --effect: no file is written and the exit code is 6.
+    choose an effect by --effect. If nothing was detected (verdict none or hint), no effect can be
+    added: no file is written, and the exit code is 6.
 
-    room.toml is the room with the effect and the input coefficients: calibrate it before you use it.
-    It keeps the areas and the volume of your room, and an absorber is a free-standing material. The
-    volume is changed only if it was identified as wrong, with a probability of at least 0.9. case.json
-    is the case with the effect, for `rtcal find`. The calibration with the effect is only printed.
+    room.toml is the room with the effect and the input coefficients: calibrate it before you use it. An
+    absorber is an additional material, and the areas of your room stay the same. The volume is changed
+    only if it was identified as wrong, with a probability of at least 0.9. case.json is the case with
+    the effect, for `rtcal find`. The calibration with the effect is only printed.
 
     With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The effect
     is a patch in the middle of its surface, or about the point of --place. If the most probable group
-    of effects on one surface has less than 0.3, you must give --effect or --place.
+    of effects on one surface has a probability below 0.3, you must give --effect or --place.
 
-    If your program's simulation was given to `rtcal find`, instructions.txt lists what to change in
-    the program's materials, what to draw, and what the program cannot contain.
+    If your program's result was given to `rtcal find`, instructions.txt lists what to change in the
+    program's materials, what to draw, and what the program cannot contain.
 
-    If FOUND compares two measurements, room.toml is the room after the change: calibrated to the
-    measurement before it, with what changed.
+    If FOUND is from `rtcal find --before`, room.toml is the room after the change: calibrated to the
+    measurement before the change, with what changed added.
 
     If the verification in FOUND warns against simulating with the model, the printed text, room.toml,
     case.json, catt.txt and caution.txt repeat the warning.
@@ -556,11 +559,11 @@ def apply(found: str, out: str, **options: Any) -> None:
     console.heading_options,
 )
 def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
-    """Find what the model misses, verify it, add it and calibrate: one answer, one page.
+    """Find what is missing from a room's model, verify it, add it and calibrate the model.
 
     It does what `rtcal find`, `verify`, `apply` and `fit` do with their defaults, and prints these
-    commands. An effect with a probability below 0.3, or with the verdict "withdrawn" of its
-    verification, is not added: the model is then calibrated as given, and the text says so.
+    commands. An effect with a probability below 0.3, or whose verification has the verdict "withdrawn",
+    is not added: the model is then calibrated as given, and the text says so.
 
     Example: rtcal diagnose room.toml pairs.csv --out diagnosis
     """
@@ -621,14 +624,15 @@ def plan(
 ) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
-    Give a CASE to plan before anything is measured: its configurations then have
-    parameters = ["t20", "edt"] in place of measured. If some configurations were measured, those with
-    parameters are among the proposals. Each proposal has its hours, and the share of the uncertainty
-    about the effects that it is expected to remove.
+    Give a CASE to plan before anything is measured: its configurations then have parameters = ["t20",
+    "edt"] in place of measured. If other configurations were measured, these planned ones are among the
+    proposals. Each proposal has its hours, and the share of the uncertainty about the effects that it
+    is expected to remove.
 
-    Give FOUND, the folder that `rtcal find --out` wrote, to go on from what was measured; search with
+    Give FOUND, the folder that `rtcal find --out` wrote, to plan the next measurement; search with
     --most 3 for the best proposals. With a geometry, if several surfaces are possible, the proposals
-    are places for a further receiver, with the odds by which it is expected to distinguish them.
+    are positions for a further receiver, with the odds by which it is expected to distinguish the
+    surfaces.
 
     Example: rtcal plan case.toml
     """

@@ -122,9 +122,9 @@ _ROOM = (
 
 @click.group("import", short_help="A program's material list and a mesh to a room.")
 def import_room() -> None:
-    """Make a room of a program's materials and a mesh, or given areas and volume.
+    """Make a room of a program's list of materials and of a mesh, or of areas and a volume.
 
-    `rtcal import check MESH` looks at a mesh alone.
+    `rtcal import check MESH` checks a mesh alone.
     """
 
 
@@ -138,9 +138,9 @@ def check(
     picture: str | None,
     **options: Any,
 ) -> None:
-    """Print V, S and the defects of MESH (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC).
+    """Print volume, surface and defects of MESH (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC).
 
-    Every defect is listed with its effect on V and S, and mended where that is safe.
+    Every defect is listed with the effect of its repair on volume V and surface S.
 
     Example: rtcal import check hall.glb --picture hall.png
     """

@@ -64,10 +64,11 @@ def start(
     again: bool,
     **stated: Any,
 ) -> None:
-    """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
+    """Write ROOM (TOML) with the coefficients that your program must simulate first.
 
-    With --simulated the loop begins with a simulation that you already have, and writes the
-    coefficients with which the program, not the equation, is expected to give the measured T.
+    The loop ends when the program gives T in MEASURED (CSV). With --simulated it begins with a
+    simulation that you already have, and the coefficients are those with which the program, not the
+    equation, is expected to give the measured T.
 
     A state that holds simulations is not overwritten: delete it to begin anew.
 
@@ -129,9 +130,9 @@ def start(
     _AGAIN,
 )
 def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
-    """Read what the program SIMULATED (CSV) and write what to simulate next.
+    """Read what the program SIMULATED (CSV) and write the room to simulate next.
 
-    ROOM is the file that `start` read. `rtcal report STATE` shows the steps so far, `rtcal loop
+    ROOM is the file that `start` read. `rtcal report STATE` shows the steps so far, and `rtcal loop
     back` takes the last step back.
 
     \b

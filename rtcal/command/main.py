@@ -73,8 +73,7 @@ def cli() -> None:
     rtcal report calibrated
 
     A room is a TOML file, a measurement a CSV file. Every command takes --quiet and --json. It prints
-    an error in one line, and writes all its files or none. `rtcal COMMAND --help` has
-    an example of each.
+    an error in one line, and writes all its files or none. `rtcal COMMAND --help` shows an example.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
 
 

@@ -74,16 +74,16 @@ def predict(
     simulated: str | None,
     at: str | None,
 ) -> None:
-    """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
+    """Predict T of ROOM (TOML) after changes, from T MEASURED (CSV) before them.
 
-    The change is predicted: T before is given, that of the calibrated room, and nothing changed is T
-    before exactly. One JND is 5 % of T. Without MEASURED the input coefficients alone predict.
+    The model predicts only the change, which is applied to the measured T. One JND is 5 % of T. Without
+    MEASURED, T is predicted from the input coefficients alone.
 
-    With --simulated, what your program gave before the change, its ratio of T replaces the equation's
-    for each variant that names what it gave after it: simulated = "after.csv".
+    --simulated is your program's result before the change. For each variant that names the result after
+    the change, simulated = "after.csv", their ratio of T replaces that of the equation.
 
-    ROOM may be the folder of an `rtcal calibrate` or of an `rtcal fit`, without MEASURED. A fit
-    predicts every position: T20, EDT, C80, Ts, level, D50, STI.
+    ROOM may be the folder that `rtcal calibrate` or `rtcal fit` wrote, without MEASURED. From a fit,
+    T20, EDT, C80, Ts, level, D50 and STI are predicted at every position.
 
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
@@ -224,8 +224,8 @@ def design(
 ) -> None:
     """Find the cheapest treatments of ROOM (TOML) with which T meets a target.
 
-    MEASURED (CSV) is T of the room as it is; without it, ROOM is the folder of an `rtcal calibrate`.
-    Panels with a `unit` are not cut. The probabilities are those of `rtcal predict`.
+    MEASURED (CSV) is T of the room as it is. Without it, ROOM must be the folder that `rtcal calibrate`
+    wrote. Panels with a `unit` are not cut. T is predicted as by `rtcal predict`.
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """

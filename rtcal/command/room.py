@@ -83,11 +83,11 @@ _COPIES = "The values are from copies of these tables, not from the works themse
 def room(
     ask: bool, bands: str | list[float] | None, t20: str | None, t30: str | None, **stated: Any
 ) -> None:
-    """Make a room of the sides of a box and of materials by name.
+    """Make a room from the sides of a box and the names of its materials.
 
     Names are looked up in the catalogue (after Vorländer 2008). The entries that were taken are
-    printed. With --t20 or --t30 the room is also calibrated, as `rtcal calibrate` does, and written
-    only with --out, as it is before.
+    printed. With --t20 or --t30 the room is also calibrated, as by `rtcal calibrate`; --out writes the
+    room before calibration.
 
     \b
     Example: rtcal room --dimensions 9,7,3 --floor carpet \\
@@ -288,9 +288,10 @@ class _Materials:
 @click.command(short_help="The catalogue of materials and pieces, with their sources.")
 @console.takes(click.argument("names", nargs=-1, metavar="[NAME]..."), writes=False)
 def materials(names: tuple[str, ...]) -> None:
-    """List the catalogue's materials and pieces, or those that resemble each NAME, best first.
+    """List the catalogue's materials and pieces, or those that resemble each NAME, the best first.
 
-    `rtcal room` takes the first for that name. Pieces are persons, seats and furniture, in m² each.
+    `rtcal room` takes the first one for a NAME. Pieces are persons, seats and furniture, with an
+    absorption area in m² each.
 
     Example: rtcal materials carpet "wooden chair"
     """

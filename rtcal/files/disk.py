@@ -272,7 +272,7 @@ def _sync_folder(folder: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file, such as a piece of a cache, so that it is replaced as a whole or not at all."""
+    """Write a file outside a set (`write_all`), so that it is replaced as a whole or not at all."""
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
     with _naming(path, _UNWRITTEN):
         _write_file(new, content)
@@ -297,9 +297,9 @@ def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
 
 
 def write(path: Path, array: Array) -> None:
-    """Write an array of numbers into a cache; if the folder cannot be written, nothing is kept.
+    """Write an array of numbers into a cache; if the folder cannot be written, nothing is written.
 
-    ``path`` is that of the file. It must identify all that the array depends on.
+    The name in ``path`` must identify all that the array depends on.
     """
     content = io.BytesIO()
     np.save(content, array, allow_pickle=False)
@@ -357,8 +357,8 @@ def spare(
 ) -> None:
     """Raise DataError if a path to be written is also read, or would be written twice.
 
-    ``written`` and ``read`` are the paths that a command writes and reads. The error is also raised for
-    a file that rtcal did not write and that the command would replace.
+    ``written`` and ``read`` are the paths that a command writes and reads. The error is also raised if
+    the command would replace a file that rtcal did not write.
     """
     taken = {Path(path).resolve(): path for path in read}
     for path in written:
@@ -382,8 +382,8 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | None = None) -> None:
     """Write several files as one set: if one cannot be written, all stay as they were.
 
-    The keys of ``contents`` are paths, relative to ``folder`` if it is given, which is made if needed.
-    In a command the files are written at its end. If the process is killed meanwhile, rtcal refuses to
+    ``contents`` are the files' contents by path, relative to ``folder`` if it is given. Within a
+    command, the files are written when it ends. If the process is killed meanwhile, rtcal refuses to
     read the files until they are written again. Links are followed, and existing files keep their mode.
     Raises DataError, which names the file that cannot be written.
     """
@@ -414,8 +414,8 @@ def json_numbers(value: Any) -> Any:
     """Return a value as plain numbers, texts, lists and objects for JSON; NaN becomes None.
 
     An array with named columns becomes a list with an object per row. An object with a method
-    ``to_dict`` becomes the value of this method; another dataclass becomes its text if it has one, else
-    its fields.
+    ``to_dict`` becomes what this method returns. Any other dataclass becomes its text if it defines
+    one, else its fields.
     """
     if value is None or isinstance(value, str | bool):
         return value

@@ -75,8 +75,8 @@ class Result(ABC):  # some kinds have methods that each of them must have
         """Return the JSON text that `save` writes: the numbers of `to_dict`, and the data to load them.
 
         Names of other files, such as a room's mesh, are relative to ``folder``; with None they are
-        whole paths. If the result has an object of your own class, such as a simulator, the result
-        cannot be loaded again: the text then has only the numbers, and the reason.
+        whole paths. A result that has an object of your own class, such as a simulator, cannot be
+        loaded again: the text then has only the numbers, and the reason.
         """
         try:
             return self._text({"objects": plain(self, folder)})
@@ -154,10 +154,11 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
-    """Return a dataclass as a list of plain objects for JSON, each after the objects that it contains.
+    """Return a dataclass as a list of plain objects for JSON, which `restored` turns back.
 
-    Names of files are relative to ``folder``; with None they are whole paths. Raises CannotBeSavedError
-    for an object that is not one of rtcal's dataclasses.
+    Each object comes after the objects that it contains. Names of files are relative to ``folder``;
+    with None they are whole paths. Raises CannotBeSavedError for an object that is not one of rtcal's
+    dataclasses.
 
     Examples
     --------
@@ -215,9 +216,9 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
 
 
 def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
-    """Return the object that `plain` turned into ``objects``; DataError for any other list.
+    """Return the object that `plain` turned into the list ``objects``.
 
-    Names of files in it are relative to ``folder``.
+    Names of files in it are relative to ``folder``. Raises DataError for any other list.
     """
     made: list[Any] = []
 

@@ -46,7 +46,7 @@ _REFUSED = msgspec.ValidationError, UnicodeEncodeError, IndexError, TypeError
 class FileTable(msgspec.Struct, forbid_unknown_fields=True):
     """Describe a table of a file: its fields are the keys that the table may have.
 
-    Keys whose fields have no default must be there.
+    Keys of fields without a default are required.
     """
 
 
@@ -54,10 +54,9 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     """Return the content of a file, or of a part of it, as a value of the type ``kind``.
 
     ``data`` is the content that `json_object` or `toml_table` returned, and ``kind`` a type that
-    msgspec knows. ``place`` is the part's name in messages, "" for the whole file; the name of a key
-    follows it after a dot, or after a blank if it ends in ``:``. Raises DataError for an unknown or
-    missing key, a value of another type, or a value that an object's constructor refuses; the message
-    has place, value and rule, and the key that is likely meant.
+    msgspec knows. ``place`` is the part's name in messages, "" for the whole file. Raises DataError for
+    an unknown or missing key, a value of another type, or a value that an object's constructor refuses;
+    the message has place, value and rule, and the key that is likely meant.
 
     Examples
     --------
@@ -350,10 +349,7 @@ _MOST_OF_A_FILE = 2**25
 
 
 def kind_of(path: str | os.PathLike[str]) -> str:
-    """Return the kind of rtcal's files to which a file belongs; "" for a file of another kind.
-
-    It is `RESULT`, `TABLE`, "a room", "a case", "a file of variants" or "a file of treatments".
-    """
+    """Return the kind of a file, such as "a room", "a case" or `RESULT`; "" for an unknown kind."""
     with suppress(DataError, UnicodeDecodeError):
         content = read_bytes(path, _MOST_OF_A_FILE)
         if content.startswith(b"PK"):
@@ -402,7 +398,8 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
 def toml_text(table: Mapping[str, Any]) -> str:
     """Return plain values as the text of a TOML file, with each list of numbers on one line.
 
-    A list of tables stands at the end, with ``[[key]]`` before each; such a table has no tables itself.
+    Lists of tables stand at the end, with ``[[key]]`` before each table. Their tables must not contain
+    tables.
     """
     import tomli_w
 

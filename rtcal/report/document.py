@@ -117,10 +117,11 @@ class Files:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Hold a figure, which the function ``draw`` makes once, and its caption.
+    """Hold a figure and its caption; ``draw`` is a function that returns the figure.
 
-    ``alt`` is the text for readers who cannot see the figure, by default the caption. ``tall`` is
-    whether the figure may be high. A figure with a ``name`` is also written as a separate file.
+    ``alt`` is the text for readers who cannot see the figure, by default the caption. If ``tall`` is
+    True, the figure may be higher than usual. A figure with a ``name`` is also written as a separate
+    file.
     """
 
     draw: Callable[[], Any]
@@ -137,7 +138,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """Hold parts of a page that are shown side by side if the page is wide.
+    """Hold parts of a page, each a list of blocks, that are shown side by side on a wide screen.
 
     ``kind`` is the CSS class of the parts.
     """
@@ -148,7 +149,7 @@ class SideBySide:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """Hold the subject, the author, the name and the blocks of a page.
+    """Hold a page: its subject, its author, its name and its blocks.
 
     Blocks are those of `rtcal.support.blocks`, the classes of this module, and the room of
     `rtcal.report.room_view`.
@@ -296,11 +297,12 @@ def coefficients(
     at_bound: NDArray[np.bool_] | None = None,
     most: Sequence[int] | None = None,
 ) -> Table:
-    """Return the table of input and calibrated coefficients by material and band, with the interval.
+    """Return the table of input and calibrated coefficients by material and band.
 
-    ``room`` has the input coefficients. The calibrated ``alpha``, both ends of its 90 % ``interval``,
-    and ``at_bound`` are (n_materials, n_bands). A coefficient for which ``at_bound`` is True gets a
-    star. ``most`` are the numbers of the materials that a page shows, by default all.
+    ``room`` has the input coefficients. ``alpha`` are the calibrated ones, ``interval`` the ends of
+    their 90 % interval, and ``at_bound`` is True for those that get a star; all are (n_materials,
+    n_bands). Without ``interval`` or ``at_bound``, the table has no intervals or stars. ``most`` are
+    the numbers of the materials that a page shows at first; None means all.
     """
 
     def cell(i: int, k: int) -> str:

@@ -67,8 +67,9 @@ def new_figure(
 ) -> tuple[Any, Any]:
     """Return a new figure and its axes, for drawing without a screen.
 
-    ``width`` and ``height`` are in inches. The axes are those of ``matplotlib.figure.Figure.subplots``.
-    Raises MissingDependencyError if matplotlib is not installed.
+    ``width`` and ``height`` are in inches. The figure has ``rows`` times ``columns`` axes, in the form
+    of ``matplotlib.figure.Figure.subplots``. Raises MissingDependencyError if matplotlib is not
+    installed.
     """
     try:
         from matplotlib.figure import Figure
@@ -108,11 +109,11 @@ def of_materials(
     draw: Callable[[Any, int], None],
     columns: int,
 ) -> Any:
-    """Return a figure with a small panel over the bands for each material, at most twelve.
+    """Return a figure with a small panel for each material, at most twelve, over the bands.
 
-    If there are more materials, those with the largest ``size`` (n_materials,) are drawn. The function
-    ``draw`` draws the panel of the material with a given number. ``columns`` is the number of columns
-    of the legend.
+    If there are more materials, those with the largest ``size`` (n_materials,) are drawn. ``draw`` is a
+    function that draws the panel of a material, from the panel's axes and the material's number.
+    ``areas`` are in m², ``frequencies`` in Hz. The legend has at most ``columns`` columns.
     """
     chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     n = len(chosen)
@@ -175,7 +176,7 @@ def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: 
 
 
 def reverberation_time(result: CalibrationResult) -> Any:
-    """Return the figure of T over frequency: measured with one JND, before and after calibration.
+    """Return the figure of T over frequency: measured with one JND, and before and after calibration.
 
     A letter below a band refers to a caution on the page.
     """
@@ -249,8 +250,8 @@ def disagreement(comparison: Comparison) -> Any:
 def coefficients(result: CalibrationResult) -> Any:
     """Return the figure of input and calibrated alpha by material and band, with 90 % intervals.
 
-    If there are more than twelve materials, it shows those with the largest absorption area. The
-    interval of the input is alpha ± 1.645 sigma within 0 and 1; that of the calibrated alpha is
+    If there are more than twelve materials, those with the largest absorption area are drawn. The
+    interval of the input is alpha ± 1.645 sigma, limited to 0 to 1; that of the calibrated alpha is
     `CalibrationResult.interval`.
     """
     room, (low, high) = result.prior, result.interval
@@ -296,10 +297,10 @@ def plane(
 ) -> Any:
     """Return the figure of a calibration of two coefficients (Bellows & Katz 2025, Figs. 1 and 3).
 
-    It shows ellipses of 1, 2 and 3 standard deviations about the input coefficients ``mu``, the line of
-    all coefficients with the measured absorption area, and the step from mu to the most probable point
-    of this line. Arrays are (2,). ``areas`` and the absorption area ``target`` are in m². ``truth`` are
-    the true coefficients.
+    It shows ellipses of 1, 2 and 3 standard deviations ``sigma`` about the input coefficients ``mu``,
+    the line of all coefficients that give the measured absorption area ``target`` in m², and the step
+    from mu to the calibrated ``alpha`` on this line. ``correlation`` is that between both coefficients.
+    ``truth`` are the true coefficients; None draws none. Arrays are (2,), and ``areas`` are in m².
     """
     mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))
     figure, axes = new_figure(5.6, 5.9)
@@ -360,11 +361,11 @@ _STYLES = ("-", "--", "-.", ":")
 
 
 def path(loop: Loop) -> Any:
-    """Return the figure of a loop's simulations, like Fig. 7 of Bellows & Katz (2025).
+    """Return the figure of the simulations of a closed loop, like Fig. 7 of Bellows & Katz (2025).
 
     The upper part has the measured T20 with one JND, and the simulated T20 of the first, the
-    intermediate and each band's best step. The lower part has each band's deviation in JND over the
-    simulations. Raises DataError for a loop without a simulation.
+    intermediate and each band's best step. The lower part has the deviation of each band in JND over
+    the simulations. Raises DataError for a loop without a simulation.
     """
     if not loop.steps:
         raise DataError("the loop has no simulation yet, so there is nothing to draw")
@@ -411,10 +412,11 @@ def predicted_times(
     variants: Sequence[tuple[str, Array, tuple[Array, Array]]],
     target: tuple[Array, Array] | None = None,
 ) -> Any:
-    """Return the figure of T over frequency before, and of each variant with its 90 % interval.
+    """Return the figure of T over frequency before a change, and with each variant of the change.
 
-    ``frequencies`` in Hz and T ``before`` in s are (n_bands,). A variant is (name, T, (low, high)).
-    ``target`` has both ends of the required range of T, NaN for no limit; None draws no range.
+    ``frequencies`` in Hz and T ``before`` in s are (n_bands,). A variant is its name, its T, and both
+    ends of the 90 % interval of T. ``target`` has both ends of the required range of T, NaN where there
+    is no limit; None draws no range.
     """
     figure, axes = new_figure()
     top = 1.1 * max(float(np.nanmax(before)), *(float(ends[1].max()) for _, _, ends in variants))
@@ -477,10 +479,10 @@ def corrected_times(verification: Verification) -> Any:
 
 
 def corrected_shifts(verification: Verification) -> Any:
-    """Return the figure of each material's change of alpha by band, without and with the effect.
+    """Return the figure of the changes of alpha by calibration, without and with a found effect.
 
-    It shows 90 % intervals; those of the input values are grey. If there are more than `MOST_PANELS`
-    materials, it shows those whose absorption area changed most.
+    It has a panel for each material, with 90 % intervals; those of the input values are grey. If there
+    are more than `MOST_PANELS` materials, those whose absorption area changed most are drawn.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
     models = verification.calibrations
@@ -532,12 +534,12 @@ def _mark(axes: Axes, point: Sequence[float], marker: str, colour: str) -> None:
 
 
 def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
-    """Return the plan of the room with the pairs that disagree and the surfaces that may differ.
+    """Return the plan of a room with the pairs that disagree and the surfaces that may differ.
 
-    A line joins source and receiver, and is darker for a larger root mean square deviation of the pair,
-    in standard deviations. A more probable wall is more orange. Surfaces that the positions do not
-    distinguish have the same letter. ``place`` is a position for a further receiver, from
-    `rtcal.finder.positions.next_position`; None draws none.
+    A line joins source and receiver of a pair. It is darker for a larger root mean square deviation, in
+    standard deviations. A more probable wall is more orange. Surfaces that the positions do not
+    distinguish have the same letter. ``place`` is a proposed position for a further receiver; None
+    draws none. ``axes`` are those to draw on; None means a new figure.
     """
     from rtcal.finder.positions.surfaces import kind
 
@@ -606,9 +608,10 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
 
 
 def bars(verification: Verification, axes: Any = None) -> Any:
-    """Return the bars of the mean deviation at held-out data: input, calibrated and corrected model.
+    """Return the figure of mean deviations at held-out data: input, calibrated and corrected model.
 
-    Whiskers show the range over the seeds of the simulator.
+    Whiskers show the range over the seeds of the simulator. ``axes`` are those to draw on; None means a
+    new figure.
     """
     if axes is None:
         _, axes = new_figure(5.2, 3.8)
@@ -635,10 +638,11 @@ def position_gaps(
     sources: Mapping[str, Sequence[float]],
     receivers: Mapping[str, Sequence[float]],
 ) -> Any:
-    """Return the plan of the room with receivers coloured by their deviation, before and after.
+    """Return the plan of a room with receivers coloured by deviation, before and after calibration.
 
     The deviation of a receiver is the root mean square over parameters, bands and sources, in JND, and
-    is written beside its name. Raises DataError if a receiver of the result has no position.
+    is written beside its name. ``sources`` and ``receivers`` are positions (x, y, z) in m, by name.
+    Raises DataError if a receiver of the result has no position.
     """
     names = list(dict.fromkeys(r for _, r in result.pairs))
     if missing := [name for name in names if name not in receivers]:
@@ -686,9 +690,9 @@ def room(
     """Return the figure of a room in which each face has its colour, seen from several sides.
 
     ``colours`` has one for each face. A view is (turn, tilt, faces): angles in radians about the z axis
-    and above the horizontal, and the numbers of the faces that are drawn. A source or receiver in
-    ``stands`` is (kind, name, position, colour). ``scale`` explains the colours: (label, colours,
-    ends).
+    and above the horizontal, and the numbers of the faces that are drawn. ``stands`` are sources and
+    receivers, each (kind, name, position in m, colour). ``scale`` is the colour bar: its label, its
+    colours, and the values at its ends.
     """
     figure, _ = new_figure(6.6, 3.7)
     figure.clear()
@@ -731,8 +735,8 @@ def room(
 def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
     """Return the figure of a mesh, as drawn or repaired.
 
-    ``open_edges`` (n, 2, 3) in m are drawn in red. Each material has its own shade; the legend names
-    those with the largest areas.
+    ``open_edges`` (n, 2, 3) are the ends in m of edges that are drawn in red; None draws none. Each
+    material has its own shade; the legend names those with the largest areas.
     """
     from rtcal.simulators.geometry import Polyhedron
 
@@ -763,7 +767,7 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
 
 
 def rendered(figure: Figure, kind: str) -> bytes:
-    """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file.
+    """Return a figure as the bytes of a file of the given ``kind``: "png", "svg" or "pdf".
 
     The same figure always gives the same bytes.
     """
@@ -801,7 +805,7 @@ def write_folder(
 ) -> list[Path]:
     """Write the room, the numbers and the figures of a result into a folder, all or none.
 
-    ``draw`` maps the name of each figure's file to the function that draws the figure. Without
+    ``draw`` has, by the name of each figure's file, the function that returns the figure. Without
     matplotlib no figures are written, and a warning is given.
     """
     contents = {

@@ -354,7 +354,7 @@ def sentence(reason: Reason) -> str:
 
 
 def odds(nats: float) -> str:
-    """Return a ln Bayes factor, in ``nats``, as odds to two digits.
+    """Return a ln Bayes factor ``nats`` as odds with two digits.
 
     Examples
     --------
@@ -422,7 +422,10 @@ def likeliness(c: Candidate) -> str:
 
 
 def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
-    """Return candidates with their probabilities in words; ``some`` has the most probable first.
+    """Return candidates with their probabilities in words.
+
+    ``some`` are names and probabilities, the most probable first. ``lead`` are the words before the
+    first.
 
     >>> choice([("furniture", 0.45), ("opening", 0.39), ("air", 0.06)])
     'most likely furniture (45 %), but opening (39 %) fits nearly as well; less likely air (6 %)'
@@ -477,7 +480,7 @@ def absorbs(change: Array, end: str = "") -> str:
     """Return in words how much more or less the room absorbs than the model.
 
     ``change`` (3, n_bands) is the relative change of the absorption area: its mean, and both ends of
-    its 90 % interval. ``end`` is that of a `Size`.
+    its 90 % interval. ``end`` is "least" or "most" if only one end is known (`Size`), else "".
 
     >>> absorbs(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]]))
     'The room absorbs 40 % more than the model (90 % interval 20 to 60 %), rising with frequency'
@@ -542,10 +545,7 @@ def _weak(f: Finding) -> str:
 
 
 def without_measuring(f: Finding) -> str:
-    """Return the next step that needs no measurement: to calibrate, or to simulate; "" for none.
-
-    Calibration is advised if nothing is missing from the model, and model and measurement differ.
-    """
+    """Return the next step of a finding that needs no measurement, such as calibration; "" for none."""
     if any(reason.code == OWN_FIELD for reason in f.reasons):
         return (
             "Simulate with half and with twice the scattering coefficients and search with each run, "
@@ -1153,7 +1153,7 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
 def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     """Return a finding as blocks: the answer, cautions, next step, candidates, data and evidence.
 
-    The sentence of a ``verification`` follows the cautions; None leaves it out.
+    If there is a ``verification``, its sentence follows the cautions.
     """
     table = candidates(f)
     step = first_step(f, verification)
@@ -1199,10 +1199,10 @@ _OPEN = 0.01
 
 
 def of_plan(p: Plan, *, every: bool = False) -> list[Block]:
-    """Return a plan as blocks: what to measure next, what each effect would show, and similar effects.
+    """Return a plan as blocks: what to measure next, and which effects the data distinguish.
 
-    The effects that the data do not distinguish from another one are counted. If ``every`` is True,
-    they are also named.
+    Effects that the data do not distinguish from another one are counted; if ``every`` is True, they
+    are also named.
     """
     seen, named_ = list[Row](), list[Block]()
     for name, change in p.reached.items():

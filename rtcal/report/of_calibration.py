@@ -246,10 +246,10 @@ def _measured(result: CalibrationResult) -> str:
 
 
 def command(result: CalibrationResult) -> str | None:
-    """Return the shell command that gives the same result from the two files of the page.
+    """Return the shell command that repeats a calibration from the two files of its page.
 
-    The result is None for a calibration that the command cannot repeat: a composed one, one with an
-    equation that is not rtcal's, or one whose equation has other than the default parameters.
+    None if no command can: for a method composed of terms, or an equation that is not rtcal's or has
+    other than the default parameters.
     """
     keys = {equation.name: key for key, equation in EQUATIONS.items()}
     equation, method = keys.get(result.equation.name), result.method

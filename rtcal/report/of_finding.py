@@ -64,9 +64,9 @@ def page(
 ) -> Page:
     """Return the page of a finding: the answer, its reasons, what to do, and the numbers.
 
-    ``verification`` is that of the finding; None if there is none. ``command`` is the printed command
-    that reproduces the page. ``place`` is a position for a further receiver that would distinguish the
-    surfaces; None if there is none.
+    ``verification`` is that of the finding; None if there is none. ``command`` is the command, printed
+    on the page, that reproduces it. ``place`` is a position for a further receiver that would
+    distinguish the surfaces; None if there is none.
     """
     if isinstance(result, Verification):
         return page(result.finding, result, command, place)
@@ -411,9 +411,8 @@ def instructions(
 ) -> list[Block]:
     """Return what to change in a program's list of materials, what to draw, and what neither can hold.
 
-    ``made`` is the corrected model. ``room`` is its room with the coefficients to simulate with; its
-    first materials are those of the run. ``effect`` is the name of the effect that was chosen; None if
-    it is the effect that was found.
+    ``made`` is the corrected model, and ``room`` its room with the coefficients to simulate with.
+    ``effect`` is the name of the effect that was chosen; None if it is the effect that was found.
     """
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
@@ -490,12 +489,11 @@ def correct(
     form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
-    """Add what was found to the model, and return the text, its record, and the files for a folder.
+    """Return the text, the record and the files of a finding's corrected model, without writing them.
 
-    ``out`` is the folder. ``verification`` has the caution for the model; for means over positions, it
-    also has the calibration with the effect, which is otherwise computed. For ``effect``, ``form``,
-    ``at`` and errors see `Finding.apply`. The files are returned by path, and there are none if there
-    is nothing to add.
+    ``out`` is the folder for the files, which are returned by path; there are none if there is nothing
+    to add. ``verification`` has the caution for the model. For ``effect``, ``form``, ``at`` and errors
+    see `Finding.apply`.
     """
     record = finding.to_dict()
     if finding.refusal is not None:

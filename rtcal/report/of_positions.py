@@ -49,10 +49,10 @@ def gap_table(
     title: str = f"Root mean square {_DEVIATION}",
     misfit: Array | None = None,
 ) -> Table:
-    """Return the table of root mean square deviations before and after, for each pair and for all.
+    """Return the table of deviations before and after calibration, for each pair and for all pairs.
 
-    ``before`` and ``after`` are (n_parameters, n_pairs, n_bands) in JND. ``misfit`` (n_pairs,) gets a
-    column of its own; None leaves it out.
+    A deviation is a root mean square over bands. ``before`` and ``after`` are (n_parameters, n_pairs,
+    n_bands) in JND. ``misfit`` (n_pairs,) gets a column of its own; None leaves it out.
     """
     columns = [parameter_label(p) for p in parameters]
     own: list[list[str]] = [[]] * (len(pairs) + 1)

@@ -56,13 +56,12 @@ def blocks_of(result: Result) -> Page:
 def page(
     result: Any, heading: Heading | None = None, progress: Callable[[], None] | None = None
 ) -> str:
-    """Return a result as one HTML page under 2 MB, which needs no network.
+    """Return a result as one HTML page, which needs no network and no other file.
 
     Parameters
     ----------
     result : CalibrationResult, Comparison, ModesResult, Loop, PositionsResult, Prediction, ...
-        Result to show; also a design, predictions of variants or at positions, a finding, or a
-        verification.
+        Result to show; also a design, several predictions, a finding, or a verification.
     heading : Heading, optional
         Title, author and date; by default the room's name and author.
     progress : callable, optional
@@ -86,9 +85,9 @@ def page_of(
 ) -> str:
     """Return a saved result as an HTML page, from its folder, its ``result.json`` or a loop's file.
 
-    A saved result does not contain the names of its input files. Therefore the page of a finding for
-    means over positions contains its case as a file, and the page of a finding at positions has no
-    command that reproduces it. For ``heading`` and ``progress`` see `page`.
+    Because a saved result does not contain the names of its input files, the page of a finding contains
+    its case as a file (means over positions) or no command that reproduces it (every position). For
+    ``heading`` and ``progress`` see `page`.
 
     Raises
     ------
@@ -113,10 +112,10 @@ def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str])
 
 
 def sheets(made: Page) -> dict[str, list[list[Any]]]:
-    """Return the sheets of a workbook with a page's tables, by name; the first sheet has sentences.
+    """Return the tables of a page as sheets of a workbook, by name; the first sheet has the sentences.
 
-    Each number has its own cell. If the page prints several numbers in one cell of a table, each gets a
-    row of the sheet.
+    Each number has its own cell. If a table of the page has several numbers in one cell, each gets a
+    row.
     """
     summary: list[list[Any]] = [["text"]]
     made_of: dict[str, list[list[Any]]] = {"summary": summary}

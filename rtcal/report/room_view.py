@@ -81,11 +81,10 @@ def into_picture(turn: float, tilt: float) -> Array:
 class Quantity:
     """Hold a quantity whose numbers colour the parts of a room, NaN where nothing is known.
 
-    ``values`` are (n_parts, n_columns), and ``columns`` the names of the columns: the mean over the
-    bands, or a band. ``head`` is the quantity's name in the head of a table. ``colours`` is the scale
-    from ``low`` to ``high``. A number in text is multiplied by ``factor``, has this number of
-    ``digits``, and is followed by ``unit``. ``still`` is whether the page has a picture of it for
-    print.
+    ``values`` are (n_parts, n_columns), and ``columns`` the names of the columns: a band, or the mean
+    over bands. ``head`` is the quantity's name in the head of a table. ``colours`` is the scale of
+    colours from ``low`` to ``high``. In text, a number is multiplied by ``factor``, has ``digits``
+    decimals, and is followed by ``unit``. ``still`` is whether the page has a picture of it for print.
     """
 
     name: str
@@ -134,12 +133,13 @@ class Stand:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoomSection:
-    """Hold the room on a page, for the template ``room.html``.
+    """Hold the view of a room on a page.
 
-    ``parts`` has the numbers of the faces of each material or surface, and ``areas`` (n_parts,) the
-    areas in m². ``part`` is the word for a part in the head of a table. The first of ``quantities`` is
-    shown at first. ``stands`` are sources and receivers, and ``whens`` says to which model each of
-    their deviations belongs: input, calibrated. ``level`` is that of the heading; None for no heading.
+    ``parts`` has the numbers of the faces of each material or surface, and ``areas`` (n_parts,) are in
+    m². ``part`` is the word for a part in the head of a table. The first of ``quantities`` is shown at
+    first. ``stands`` are sources and receivers with their deviations, and ``whens`` the names of the
+    models to which these belong, such as "input". ``level`` is that of the heading; None for no
+    heading.
     """
 
     geometry: Polyhedron
@@ -205,10 +205,10 @@ class RoomSection:
         return [Picture(partial(self.still, q), f"{q.title}, from above and below") for q in shown]
 
     def still(self, quantity: Quantity) -> Any:
-        """Return the figure of the parts by a quantity's first column, from above and from below.
+        """Return the figure of a room with its parts coloured by a quantity, from above and from below.
 
-        Faces that would hide the inside of the room are left out. Sources and receivers have the colour
-        of their last deviation.
+        The colours are those of the quantity's first column. Faces that would hide the inside of the
+        room are left out. Sources and receivers have the colour of their last deviation.
         """
         colours = np.array([*map(quantity.colour, quantity.values[:, 0]), GREY])[self.owners]
         views = []
@@ -322,8 +322,9 @@ def stands(
 ) -> list[Stand]:
     """Return sources and receivers with the root mean square deviation of their pairs in JND.
 
-    ``gaps`` are the deviations before and after, (n_parameters, n_pairs, n_bands) each, NaN where
-    nothing is known. ``pairs`` are the names of source and receiver of each pair.
+    ``sources`` and ``receivers`` are positions in m, by name. ``pairs`` are the (source, receiver) of
+    each pair. ``gaps`` are the deviations of each model, (n_parameters, n_pairs, n_bands), NaN where
+    nothing is known.
     """
     made = []
     for kind, points, end in (("source", sources, 0), ("receiver", receivers, 1)):
@@ -336,7 +337,7 @@ def stands(
 
 
 def of_calibration(result: CalibrationResult) -> list[Any]:
-    """Return the section on the room of a calibration; an empty list if the room has no geometry.
+    """Return the view of the room for the page of a calibration; empty if the room has no geometry.
 
     A mesh that cannot be read raises no error: the page notes it, and has no view of the room.
     """
@@ -377,10 +378,10 @@ def of_finding(
     verification: Verification | None,
     place: Place | None = None,
 ) -> list[Any]:
-    """Return the section on the room of a finding at positions.
+    """Return the view of the room for the page of a finding at positions.
 
-    Its deviations are those of the ``verification`` at pairs that were not fitted; None for none.
-    ``place`` is a position for a further receiver; None for none.
+    Deviations are shown if there is a ``verification``. ``place`` is a position for a further receiver;
+    None for none.
     """
     case, room = finding.case, finding.case.room
     rows = [

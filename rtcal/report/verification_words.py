@@ -190,10 +190,10 @@ def _of_pairs(v: Verification) -> list[str]:
 
 
 def gaps(v: Verification) -> Table:
-    """Return the table of mean deviations of each model: by quantity, by place, and over all.
+    """Return the table of mean deviations of each model at held-out data.
 
-    The means are over held-out data. If some data were not held out, the table has a row for each
-    quantity at each place, which says whether it was held out or matched.
+    It has a row for each quantity, each place, and all. If some data were not held out, it has a row
+    for each quantity at each place, which says whether it was held out or matched.
     """
     sizes, rows = v.sizes, list[Row]()
 
