@@ -29,8 +29,8 @@ Weighing = tuple[Array, Array, Array, float]
 air attenuation in 1/m, (n_bands,); lengths in m of each receiver's first sound, (n_receivers,), and of
 a bin."""
 
-_DISTANCES = 4096
-"""Distances from paths to planes that are computed together, by vector instructions."""
+_DISTANCES = 2048
+"""Distances from paths to planes that are computed together, by vector instructions; 16 kB of them."""
 
 
 @compiled(reorder=False)
@@ -67,32 +67,47 @@ def distances(rays: Array, n: int, planes: Array, k: int, out: Array, row: int) 
 
 @compiled(reorder=False)
 def passages(rays: Array, n: int, centres: Array, r: int, square: float, out: Array) -> None:
-    """Write to a receiver's row where each ray is nearest to it, -1 where it misses it."""
+    """Write to a receiver's row where each ray is nearest to it, infinite where it does not pass it."""
     a, b, c = centres[r, 0], centres[r, 1], centres[r, 2]
     for j in range(n):
         x, y, z = a - rays[0, j], b - rays[1, j], c - rays[2, j]
         along = x * rays[3, j] + y * rays[4, j] + z * rays[5, j]
-        out[r, j] = along if x * x + y * y + z * z - along * along < square else -1.0
+        near = x * x + y * y + z * z - along * along < square
+        out[r, j] = along if near & (along > 0.0) else np.inf
 
 
 @compiled(reorder=False)
-def place_by_path(paths: Any, lost: Any, slots: Any, out: Any) -> None:
-    """Write to ``out`` the numbers of the entries path by path; ``slots`` is where each path begins."""
-    for number in range(len(paths)):
-        path = paths[number]
+def first_of(rows: Array, n: int, least: Array, row_of: Any) -> None:
+    """Write the least value of each of ``n`` columns, and the first row that has it."""
+    for j in range(n):
+        least[j], row_of[j] = rows[0, j], 0
+    for row in range(1, len(rows)):
+        for j in range(n):
+            less = rows[row, j] < least[j]
+            least[j] = rows[row, j] if less else least[j]
+            row_of[j] = row if less else row_of[j]
+
+
+@compiled(reorder=False)
+def place_by_path(events: Any, heard: Any, lost: Any, n_codes: int, slots: Any, out: Any) -> None:
+    """Write codes, lengths and weights to ``out`` path by path, without those of lost paths.
+
+    ``events`` are the codes and paths of all events, and ``heard`` the lengths and weights of the
+    receptions among them, whose codes are from ``n_codes`` up. ``slots`` (2, n_paths) is where the
+    codes and the receptions of each path begin in ``out``, and is overwritten.
+    """
+    n_heard = 0
+    for e in range(len(events[0])):
+        code, path = events[0][e], events[1][e]
         if not lost[path]:
-            out[slots[path]] = number
-            slots[path] += 1
-
-
-def by_path(paths: NDArray[Any], lost: NDArray[np.bool_]) -> tuple[Any, Any]:
-    """Return where the entries of each path begin, and the entries path by path without lost paths."""
-    number = np.bincount(paths, minlength=len(lost))
-    number[lost] = 0
-    starts = np.concatenate([[0], np.cumsum(number)])
-    entries = np.empty(starts[-1], np.int64)
-    place_by_path(paths, lost, starts[:-1].copy(), entries)
-    return starts, entries
+            out[0][slots[0, path]] = code
+            slots[0, path] += 1
+        if code >= n_codes:
+            if not lost[path]:
+                out[1][slots[1, path]] = heard[0][n_heard]
+                out[2][slots[1, path]] = heard[1][n_heard]
+                slots[1, path] += 1
+            n_heard += 1
 
 
 def trace(
@@ -111,14 +126,14 @@ def trace(
     radii: Array,
     thinned: float,
     shares: Array,
-) -> tuple[Any, Any, Any, Any, Any, Any, Array]:
+) -> tuple[Any, Any, Any, Any, Any, Array]:
     """Return the wall hits and receptions of traced paths for `path_tracing.Batch`, and counts.
 
-    The first three values are the codes of the events (hits and receptions), the indices that sort the
-    events by path, and the place in this order at which each path begins. The next three are the
-    lengths in m and the weights of the receptions, and the indices that sort the receptions by path.
-    The last are four counts: lost paths; free paths, and the sums of their lengths and of the squares
-    of these. A path that hits no wall is lost, and none of its events is kept.
+    The first three values are the codes of the events (hits and receptions) of path after path, the
+    place at which each path begins among these, and the number of its receptions. The next two are the
+    lengths in m and the weights of the receptions of path after path. The last are four counts: lost
+    paths; free paths, and the sums of their lengths and of the squares of these. A path that hits no
+    wall is lost, and none of its events is kept.
 
     ``order`` has the triangles' numbers, those of a plane together, and ``begins`` where each plane
     begins (`rtcal.simulators.path_tracing.by_plane`). ``owners`` has the face of each triangle,
@@ -129,27 +144,37 @@ def trace(
     n_paths, n_receivers, n_planes = len(directions), len(receivers), len(begins) - 1
     lanes = max(_DISTANCES // n_planes, 16)
     events = np.empty(64 * n_paths, np.uint16), np.empty(64 * n_paths, np.int32)
-    heard = tuple(np.empty(4 * n_paths, kind) for kind in (np.float32, np.float32, np.int32))
+    heard = np.empty(4 * n_paths, np.float32), np.empty(4 * n_paths, np.float32)
     walls = planes, order, begins, sides, owners, scattering
     state = (
         np.empty((6, lanes)),
         np.empty((n_planes, lanes)),
         np.empty((n_receivers, lanes)),
         np.empty((2, lanes)),
+        np.empty((2, lanes)),
+        np.empty((2, lanes), np.int64),
         np.empty(lanes, np.uint64),
         np.empty(lanes, np.int32),
         np.empty(lanes, np.bool_),
     )
-    lost, counts, at = np.zeros(n_paths, np.bool_), np.zeros(4), np.zeros(4, np.int64)
+    lost, number = np.zeros(n_paths, np.bool_), np.zeros((2, n_paths), np.int64)
+    counts, at = np.zeros(4), np.zeros(4, np.int64)
     of_paths = origin, directions, seeds, longest, thinned, shares
     while not _advance(
-        of_paths, walls, vector, receivers, radii, state, events, heard, lost, counts, at
+        of_paths, walls, vector, receivers, radii, state, events, heard, lost, number, counts, at
     ):
         events = tuple(_grown(of, at[2] + lanes * (n_receivers + 1)) for of in events)
         heard = tuple(_grown(of, at[3] + lanes * n_receivers) for of in heard)
-    starts, entries = by_path(events[1][: at[2]], lost)
-    _, receptions = by_path(heard[2][: at[3]], lost)
-    return events[0], entries, starts, heard[0], heard[1], receptions, counts
+    number[:, lost] = 0
+    ends = np.cumsum(number, axis=1)
+    out = tuple(
+        np.empty(ends[row, -1], of.dtype)
+        for row, of in ((0, events[0]), (1, heard[0]), (1, heard[1]))
+    )
+    traced = tuple(of[: at[2]] for of in events), tuple(of[: at[3]] for of in heard)
+    place_by_path(*traced, lost, 2 * len(scattering), ends - number, out)
+    codes, lengths, weights = out
+    return codes, np.concatenate([[0], ends[0]]), number[1], lengths, weights, counts
 
 
 def _grown(array: Any, needed: int) -> Any:
@@ -172,19 +197,21 @@ def _advance(
     events: Any,
     heard: Any,
     lost: Any,
+    number: Any,
     counts: Array,
     at: Any,
 ) -> bool:
     """Trace paths until all have ended or the arrays are full; return whether all have ended.
 
-    `trace` makes the paths, the walls and the arrays. ``at`` has four numbers: paths that have begun,
-    paths that have not ended, events, and receptions.
+    `trace` makes the paths, the walls and the arrays. ``number`` (2, n_paths) has the numbers of each
+    path's events and receptions. ``at`` has four numbers: paths that have begun, paths that have not
+    ended, events, and receptions.
     """
     origin, directions, seeds, longest, thinned, shares = of_paths
     planes, order, begins, sides, owners, scattering = walls
-    rays, to_planes, to_receivers, along_path, states, paths, diffuse = state
+    rays, to_planes, to_receivers, along_path, first, row_of, states, paths, diffuse = state
     codes, of_path = events
-    lengths, weights, heard_of = heard
+    lengths, weights = heard
     n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
     n_planes, lanes, n_shares = len(begins) - 1, len(paths), len(shares)
     begun, n, n_events, n_heard = at[0], at[1], at[2], at[3]
@@ -215,16 +242,14 @@ def _advance(
             distances(rays, n, planes, order[begins[plane]], to_planes, plane)
         for r in range(n_receivers):
             passages(rays, n, receivers, r, radii[r] * radii[r], to_receivers)
+        first_of(to_planes, n, first[0], row_of[0])
+        first_of(to_receivers, n, first[1], row_of[1])
         on = 0  # paths that go on, in the first lanes
         for j in range(n):
             path, end = paths[j], along_path[1, j]
             px, py, pz = rays[0, j], rays[1, j], rays[2, j]
             vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
-            t, nearest = to_planes[0, j], np.int64(0)
-            for other in range(1, n_planes):
-                closer = to_planes[other, j] < t
-                t = to_planes[other, j] if closer else t
-                nearest = np.int64(other) if closer else nearest
+            t, nearest = first[0, j], row_of[0, j]
             # In a convex room the nearest plane is hit; in others the nearest that holds the point.
             triangle = hit(order, begins, nearest, sides, px + t * vx, py + t * vy, pz + t * vz)
             if triangle < 0:
@@ -245,10 +270,10 @@ def _advance(
                 counts[1] += 1
                 counts[2] += t
                 counts[3] += t * t
-                for r in range(n_receivers):
+                for r in range(n_receivers if first[1, j] < t else 0):
                     along, square = to_receivers[r, j], radii[r] * radii[r]
                     length = travelled + along
-                    if 0.0 < along < t and length < end:
+                    if along < t and length < end:
                         stage = int(length / thinned)
                         if stage > n_shares - 1:
                             stage = n_shares - 1
@@ -258,7 +283,8 @@ def _advance(
                             weight *= 0.5 * (1.0 + math.sqrt(seen if seen > 0.0 else 0.0))
                         codes[n_events], of_path[n_events] = 2 * n_faces + r, path
                         lengths[n_heard], weights[n_heard] = length, weight
-                        heard_of[n_heard] = path
+                        number[0, path] += 1
+                        number[1, path] += 1
                         n_events += 1
                         n_heard += 1
             length = travelled + t
@@ -288,6 +314,7 @@ def _advance(
             norm = math.sqrt(vx * vx + vy * vy + vz * vz)
             codes[n_events] = n_faces + face if spread and not vector else face
             of_path[n_events] = path
+            number[0, path] += 1
             n_events += 1
             rays[0, on], rays[1, on], rays[2, on] = px, py, pz
             rays[3, on], rays[4, on], rays[5, on] = vx / norm, vy / norm, vz / norm

@@ -387,6 +387,7 @@ class Batch:
 
     events: NDArray[np.uint16]
     starts: NDArray[np.int64]
+    heard: NDArray[np.int64]  # number of receptions of each path
     lengths: NDArray[np.float32]
     weights: NDArray[np.float32]
     directions: Array  # (n_paths, 3), in which they left the source
@@ -394,7 +395,7 @@ class Batch:
     free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
 
     def __post_init__(self) -> None:
-        for values in (*self.arrays, self.directions):
+        for values in (*self.arrays, self.heard, self.directions):
             values.setflags(write=False)
 
     @cached_property
@@ -447,9 +448,8 @@ class Paths:
             ends = np.cumsum([len(batch.directions) for batch in batches[s]])[:-1]
             made = []
             for batch, gain in zip(batches[s], np.split(every, ends), strict=True):
-                path = np.repeat(np.arange(len(gain)), np.diff(batch.starts))
-                heard = path[batch.events >= 2 * len(self.materials)]
-                made.append(replace(batch, weights=batch.weights * gain[heard].astype(np.float32)))
+                by_reception = np.repeat(gain.astype(np.float32), batch.heard)
+                made.append(replace(batch, weights=batch.weights * by_reception))
             batches[s] = tuple(made)
             direct_gain[s] = lobe.gain(to_receivers[s])[:, 0]
         return replace(self, batches=tuple(batches), direct_gain=direct_gain)
@@ -815,7 +815,7 @@ def trace(
         sequence = np.random.SeedSequence([seed, s, b])
         seeds = sequence.generate_state(per_batch, np.uint64)
         directions = sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
-        codes, entries, starts, lengths, weights, receptions, counts = kernels.trace(
+        codes, starts, heard, lengths, weights, counts = kernels.trace(
             sources[s],
             directions,
             seeds,
@@ -832,8 +832,7 @@ def trace(
             shares,
         )
         free = (float(counts[1]), float(counts[2]), float(counts[3]))
-        heard = lengths[receptions], weights[receptions]
-        return Batch(codes[entries], starts, *heard, directions, int(counts[0]), free)
+        return Batch(codes, starts, heard, lengths, weights, directions, int(counts[0]), free)
 
     jobs = [(s, b) for s in range(len(sources)) for b in range(n_batches)]
     with thread_pool(workers) as pool:

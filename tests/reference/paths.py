@@ -120,8 +120,9 @@ def trace(
     entries = np.argsort(path, kind="stable")  # keeps the order of the steps of each path
     heard = entries[code[entries] >= 2 * n_faces]
     starts = np.concatenate([[0], np.cumsum(np.bincount(path, minlength=n_paths))])
-    single = (each.astype(np.float32) for each in (length, weight))
-    return code.astype(np.uint16), entries, starts, *single, heard, counts
+    number = np.bincount(path[heard], minlength=n_paths)
+    single = (each[heard].astype(np.float32) for each in (length, weight))
+    return code[entries].astype(np.uint16), starts, number, *single, counts
 
 
 def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
