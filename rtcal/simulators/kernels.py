@@ -344,6 +344,7 @@ def add_energy(
     batch: Batch, weighing: Weighing, reflection: Array, level: Array, sums: Array, out: Array
 ) -> None:
     """Add energies to ``out`` as `histogram` does, which makes the arrays that are overwritten."""
+    # Air attenuates up to the middle of a bin, and by a series within it: no exponential per reception.
     events, starts, lengths, weights = batch
     log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
