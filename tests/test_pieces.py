@@ -14,12 +14,24 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import Change, read_variants
+from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import LARGEST_PIECE, Material, Piece, Room
 from rtcal.calibration.archive import learn
+from rtcal.calibration.table import share_rows
 from rtcal.datasets import catalogue
+from rtcal.finder.apply import corrected_case
+from rtcal.finder.case import Case, ChangedMaterial, Configuration
+from rtcal.finder.effects import AppliedEffect
+from rtcal.finder.means.engines import box, draw_alpha
+from rtcal.finder.means.problem import state
+from rtcal.finder.means.recalibration import recalibrate
+from rtcal.finder.model import DirectionalDecay, predict, sensitivities
+from rtcal.finder.search import find
+from rtcal.report.of_calibration import assumed
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
 from tests.conftest import run
+from tests.test_discrepancy import controls_of
 
 F = [500.0, 1000.0]
 PERSONS = Piece("persons", 30, [0.5, 1.2], [0.1, 0.2], "a table", 0.05)
@@ -209,9 +221,6 @@ def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
         DataError, match=r'a tracing: room "class" has the \[\[object\]\] "persons"'
     ):
         PathTracing(geometry=box, room=whole, scattering=0.5, **at)
-    measured = rt.Measurement.from_values(F, t20=[1.0, 0.6])
-    with pytest.raises(DataError, match="a case: "):
-        rt.find(whole, measured)
     with pytest.raises(DataError, match="an archive: "):
         learn([rt.calibrate(whole.replace(name=n), [1.0, 0.6]) for n in "ab"])
     for program in (rt.io.catt, rt.io.odeon):
@@ -384,3 +393,142 @@ def test_a_box_has_the_pieces_of_its_options(
     ):
         assert run(*box, "--object", wrong, "--out", tmp_path / "x.toml") == 2
         assert words in capsys.readouterr().err
+
+
+def case_of_pieces(persons: float = 30, **stated: object) -> Case:
+    """A room with persons, and T20 of the same room with another number of persons and no error."""
+    model = room(replace(PERSONS, number_sigma=0.0), **stated)
+    model = model.replace(sigma=0.05 * model.alpha)
+    true = model.replace(areas=[63, 159, persons])
+    times = rt.Eyring().reverberation_time(true)[np.newaxis]
+    measured = rt.Measurement(
+        centre_frequencies=F, values={"t20": times}, uncertainty={"t20": 0.01 * times}
+    )
+    return Case(room=model, configurations=[Configuration(name="as built", measured=measured)])
+
+
+@pytest.mark.parametrize("equation", ["sabine", "eyring", "millington", "kuttruff"])
+def test_the_finders_state_has_the_equations_t(equation: str) -> None:
+    case = replace(case_of_pieces(), equation=equation)
+    made = state(case, case.configurations[0])
+    expected = mean_equation(equation).reverberation_time(case.room)
+    assert 6 * np.log(10) / made.rate == pytest.approx(expected, rel=1e-9)
+    assert made.total_area == 222
+    assert made.of_pieces == pytest.approx(case.room.area_of_pieces)
+    step = 1e-6
+    for i in range(3):
+        moved = np.array(made.alpha)
+        moved[i] += step
+        slope = (replace(made, alpha=moved).rate - made.rate) / step
+        assert sensitivities([made])[0, i] == pytest.approx(slope, rel=1e-4)
+
+
+def test_pieces_absorb_alike_in_every_direction() -> None:
+    """With walls that absorb nothing the field is even, whatever its scattering."""
+    case = case_of_pieces()
+    alpha = np.array(case.room.alpha)
+    alpha[:2] = 1e-12
+    made = replace(state(case, case.configurations[0], alpha), shape=DirectionalDecay(0.0))
+    times = np.exp(predict([made], np.array([3.0])).features[0, 0])
+    assert times == pytest.approx(6 * np.log(10) / made.rate, rel=1e-3)
+
+
+def test_reference_rooms_absorb_what_the_pieces_do() -> None:
+    case = case_of_pieces()
+    reference, _, share = box(case)
+    mean = reference.areas @ (share.T @ case.room.alpha) / reference.total_area
+    walls = reference.areas @ (share[:2].T @ case.room.alpha[:2]) / reference.total_area
+    assert mean - walls == pytest.approx(case.room.area_of_pieces / 222)
+    drawn = draw_alpha(case, np.random.default_rng(0), 500)
+    assert drawn[:, 0, 2].mean(axis=0) == pytest.approx([0.5, 1.2], rel=0.02)
+
+
+def test_find_names_a_wrong_number_of_pieces(tmp_path: Path) -> None:
+    case = case_of_pieces(90)
+    finding = find(case, only=["area", "covered surface"], controls=controls_of(case))
+    best = finding.candidates[0]
+    assert best.title == 'number of "persons"'
+    assert best.size == pytest.approx(3, rel=0.25)
+    assert "times the input number" in str(finding)
+    assert all(c.title != 'covered surface of "persons"' for c in finding.candidates)
+    made = finding.apply(effect="area")
+    assert made.room.areas[2] == pytest.approx(30 * best.size)
+    assert made.room.pieces == ("persons",)
+    assert made.room.total_area == 222
+    assert 'The input number of "persons": it was 30' in " ".join(map(str, made.notes))
+    simulated = np.array(made.simulator().simulate(made.room.alpha).values["t20"][0])
+    assert simulated == pytest.approx(rt.Eyring().reverberation_time(made.room), rel=1e-9)
+    made.save(tmp_path)
+    assert Case.from_file(str(tmp_path / "case.json")).room.pieces == ("persons",)
+
+
+def test_what_is_added_beside_pieces_keeps_the_models_t() -> None:
+    case = case_of_pieces()
+    opening = AppliedEffect("opening", {"area": 12.0}, (8.0, 16.0))
+    made = corrected_case(replace(case, applied=[opening]))
+    whole = state(replace(case, applied=[opening]), case.configurations[0])
+    expected = 6 * np.log(10) / whole.rate
+    assert rt.Eyring().reverberation_time(made.room) == pytest.approx(expected, rel=1e-6)
+    assert made.room.pieces == ("persons",)
+    calibrated = recalibrate(replace(case, applied=[opening]))
+    assert calibrated.room.pieces == ("persons",)
+    assert "m² per piece" in str(calibrated.blocks()[0])
+
+
+def test_configurations_change_pieces_in_m2_per_piece() -> None:
+    case = case_of_pieces()
+    nobody = replace(
+        case.configurations[0],
+        name="without persons",
+        changes={"persons": ChangedMaterial(np.zeros(2), np.zeros(2))},
+    )
+    both = replace(case, configurations=[*case.configurations, nobody])
+    without = state(both, both.configurations[1])
+    expected = rt.Eyring().reverberation_time(case.room.without_pieces)
+    assert 6 * np.log(10) / without.rate == pytest.approx(expected, rel=1e-9)
+    many = replace(nobody, changes={"persons": ChangedMaterial(np.full(2, 2.0), np.ones(2))})
+    assert replace(case, configurations=[many]).configurations[0].changes["persons"].alpha[0] == 2
+    wrong = replace(nobody, changes={"floor": ChangedMaterial(np.full(2, 2.0), np.ones(2))})
+    with pytest.raises(DataError, match=r'alpha of "floor" must be 2 values from 0 to 1$'):
+        replace(case, configurations=[wrong])
+
+
+def test_two_states_of_a_room_with_pieces() -> None:
+    whole = room(PERSONS)
+    before, after = (
+        replace(rt.Measurement.from_values(F, t20=t), n_sources=2, n_receivers=6)
+        for t in ([1.0, 0.6], [0.6, 0.4])
+    )
+    found = rt.find(whole, after, before=before)
+    assert found.detected
+    made = found.apply()
+    assert made.room.pieces == ("persons",)
+    assert rt.Eyring().reverberation_time(made.room) == pytest.approx([0.6, 0.4], rel=0.05)
+
+
+def test_a_search_by_positions_names_the_one_by_means() -> None:
+    scene = rt.Scene(sources={"S": (1, 1, 1)}, receivers={"R": (5, 5, 1)})
+    whole = room(PERSONS).replace(scene=scene)
+    pairs = rt.Measurement(
+        centre_frequencies=F, values={"t20": np.ones((1, 2))}, pairs=[("S", "R")]
+    )
+    with pytest.raises(DataError, match=r"cannot trace the room.*Search by means over positions"):
+        rt.find(whole, pairs)
+
+
+def test_printed_results_keep_pieces_apart() -> None:
+    result = rt.calibrate(room(PERSONS), [1.0, 0.6])
+    said = " ".join(str(result).split())
+    assert "222 m² of surfaces" in said
+    alpha, pieces = said.split("Calibrated absorption area of one piece / m²")
+    assert "persons" not in alpha.split("Calibrated alpha")[1].split("Share")[0]
+    assert "persons" in pieces
+    for rows in share_rows(result.to_dict()), share_rows(rt.calibrate(*bras()).to_dict()):
+        assert np.sum([row.values for row in rows], axis=0) == pytest.approx(100)
+    shares = re.findall(r"(\d+) % \(", said.split("Share of absorption")[1])
+    assert sum(map(int, shares)) == 100
+    assert "areas of 222 m² in all" in " ".join(assumed(result))
+
+
+def bras() -> tuple[Room, rt.Measurement]:
+    return rt.datasets.bras_cr2()

@@ -325,6 +325,12 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "tracing (`rtcal fit` with a mesh, `rtcal loop` with a simulator), and predict a change of one "
         "surface there",
     ),
+    "equations_differ_with_pieces": (
+        "",
+        "these coefficients, and each prediction with them, depend on the equation. Path tracing does "
+        "not, but has no [[object]]: state the pieces as a [[material]] with an area before you take "
+        "`rtcal fit` or `rtcal loop`",
+    ),
     "directions_unknown": ("", NOT_KNOWN),
     "wide_sigma": (
         "",
@@ -680,14 +686,15 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     material on one axis; it then says that the direction is unknown.
     """
     known, total = enough_known(room, shares), room.total_area
-    absorbed = np.where(np.isnan(shares[:, 0]), room.areas * room.alpha.mean(axis=1), -1.0)
+    areas = np.where(room.is_surface, room.areas, 0.0)  # pieces face no axis
+    absorbed = np.where(np.isnan(shares[:, 0]), areas * room.alpha.mean(axis=1), -1.0)
     most = int(np.argmax(absorbed))
     if not known:
         # As little of the others beside it as the shape of a cube leaves.
-        others = max(total / 3 - room.areas[most], 0.0) / max(total - room.areas[most], 1e-9)
+        others = max(total / 3 - areas[most], 0.0) / max(total - areas[most], 1e-9)
         shares = np.tile([(1 - others) / 2, (1 - others) / 2, others], (room.n_materials, 1))
         shares[most] = 0, 0, 1
-    along = room.areas[:, np.newaxis] * np.where(np.isnan(shares), 1 / 3, shares)
+    along = areas[:, np.newaxis] * np.where(np.isnan(shares), 1 / 3, shares)
     eyring, arau = Eyring().reverberation_time(room), ArauPuchades().by_axes(room, along)
     with np.errstate(invalid="ignore"):
         differ = np.nan_to_num(np.abs(gap_jnd(arau, eyring)), posinf=0.0)
@@ -701,7 +708,8 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     )
     if known:
         text = f"the absorption is uneven, so T at {at} is {times}"
-        return (mark("equations_differ", None, text),)
+        advised = "equations_differ_with_pieces" if room.pieces else ""
+        return (mark("equations_differ", None, text, advised),)
     text = (
         f"the direction of the absorption is unknown: if all of {room.materials[most]} faced one "
         f"way, T at {at} would be {times}"

@@ -89,7 +89,7 @@ def materials(
     return [
         {
             "name": name,
-            "area": float(prior.areas[i]),
+            **({"area": float(prior.areas[i])} if prior.is_surface[i] else _piece(prior, i)),
             "source": prior.sources.get(name, ""),
             **entries[i],
             "alpha_min": None if prior.alpha_min is None else json_numbers(prior.alpha_min[i]),
@@ -99,6 +99,11 @@ def materials(
         }
         for i, name in enumerate(prior.materials)
     ]
+
+
+def _piece(prior: Room, i: int) -> dict[str, Any]:
+    """Return the number of pieces, by which their alpha, in m² per piece, counts as by an area."""
+    return {"area": float(prior.areas[i]), "piece": True}
 
 
 def coefficients(
@@ -146,6 +151,8 @@ _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 SHARE = "Share of absorption after calibration"
 _LEAST_SHARE = 0.5
 """Share in % that is not printed as 0."""
+_QUANTITIES = ("alpha", "absorption area of one piece / m²")
+"""What is calibrated of surfaces, and of pieces such as persons."""
 _SEEN = 0.05
 """Shift in standard deviations that is not printed as 0.0."""
 
@@ -157,10 +164,22 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
     the details, which are the input coefficients, all changes, and the solver.
     """
     labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
+    kinds = [[m for m in materials if bool(m.get("piece")) is piece] for piece in (False, True)]
     calibrated = [
-        Row(m["name"], [*(f"{a:.3f}{_BOUNDS[b]}" for a, b in cells), _largest_shift(m, labels)])
-        for m in materials
-        for cells in [zip(m["alpha_after"], m["at_bound"], strict=True)]
+        Table(
+            [*labels, "largest shift / σ"],
+            [
+                Row(
+                    m["name"],
+                    [*(f"{a:.3f}{_BOUNDS[b]}" for a, b in cells), _largest_shift(m, labels)],
+                )
+                for m in rows
+                for cells in [zip(m["alpha_after"], m["at_bound"], strict=True)]
+            ],
+            f"Calibrated {what} (* at a bound); largest shift from the input in its σ",
+        )
+        for what, rows in zip(_QUANTITIES, kinds, strict=True)
+        if rows
     ]
     heading, evidence = verdict(record)[1:]
     return [
@@ -168,16 +187,16 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         *map(Note, cautions(_trust_marks(record))),
         *map(Note, remarks(record)),
         Table(labels, band_rows(record), note=SIGNS),
-        Table(
-            [*labels, "largest shift / σ"],
-            calibrated,
-            "Calibrated alpha (* at a bound); largest shift from the input in its σ",
-        ),
-        Table(
-            labels,
-            [Row(m["name"], m["alpha_before"], ".3f") for m in materials],
-            "Input alpha",
-            detail=True,
+        *calibrated,
+        *(
+            Table(
+                labels,
+                [Row(m["name"], m["alpha_before"], ".3f") for m in rows],
+                f"Input {what}",
+                detail=True,
+            )
+            for what, rows in zip(_QUANTITIES, kinds, strict=True)
+            if rows
         ),
         Table(labels, shift_rows(record), SHIFT, detail=True),
         Note(_shares_in_words(record)),
@@ -204,7 +223,7 @@ def _made(record: Mapping[str, Any]) -> list[str]:
     air = "no air"
     if record["air"] is not None:
         air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} % humidity"
-    area = sum(material["area"] for material in record["materials"])
+    area = sum(material["area"] for material in record["materials"] if not material.get("piece"))
     of_t = " and ".join(_parameters(record))
     matched = f"to {of_t}" if record["matches_measured_time"] else f"without matching {of_t}"
     method = _NAMES_OF_METHODS.get(record["method"], record["method"])
@@ -233,19 +252,42 @@ def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def share_rows(record: Mapping[str, Any]) -> list[Row]:
     """Return rows with the shares of `absorption_share` in %."""
-    each = [(one["name"], numbers(one["share"])) for one in record["absorption_share"]]
-    return [Row(name, 100 * share, ".0f", np.nan_to_num(share)) for name, share in each]
+    shares = np.array([numbers(one["share"]) for one in record["absorption_share"]])
+    rows = zip(record["absorption_share"], whole_percents(shares), shares, strict=True)
+    return [Row(one["name"], of, ".0f", np.nan_to_num(share)) for one, of, share in rows]
+
+
+def whole_percents(shares: Array) -> Array:
+    """Return shares (n, n_bands), whose sum is 1 in each band, in whole % that sum to 100.
+
+    The % that rounding down leaves go to the shares with the largest remainders. A band with NaN has
+    NaN.
+
+    Examples
+    --------
+    >>> whole_percents(np.array([[0.335], [0.335], [0.33]])).tolist()
+    [[34.0], [33.0], [33.0]]
+    """
+    percents = 100 * shares
+    whole = np.floor(percents + 1e-9)
+    left = np.nan_to_num(100 - whole.sum(axis=0))
+    ranks = np.argsort(np.argsort(whole - percents, axis=0, kind="stable"), axis=0)
+    return np.asarray(whole + (ranks < left))
 
 
 def _shares_in_words(record: Mapping[str, Any]) -> str:
     """Return the mean and the range of each share over the bands, the largest first."""
-    said = []
-    for one in record["absorption_share"]:
-        share = 100 * numbers(one["share"])
-        known = share[np.isfinite(share)]
-        if len(known) and known.max() >= _LEAST_SHARE:
-            ends = dict.fromkeys([f"{known.min():.0f}", f"{known.max():.0f}"])
-            said.append(f"{one['name']} {known.mean():.0f} % ({' to '.join(ends)})")
+    shares = np.array([numbers(one["share"]) for one in record["absorption_share"]])
+    shares = shares[:, np.isfinite(shares).all(axis=0)]
+    seen = (100 * shares).max(axis=1, initial=0.0) >= _LEAST_SHARE
+    if not seen.any():
+        return f"{SHARE}: unknown in every band."
+    shares, said = shares[seen] / shares[seen].sum(axis=0), []
+    means = whole_percents(shares.mean(axis=1, keepdims=True))[:, 0]
+    names = [one["name"] for one, of in zip(record["absorption_share"], seen, strict=True) if of]
+    for name, mean, of in zip(names, means, whole_percents(shares), strict=True):
+        ends = dict.fromkeys([f"{of.min():.0f}", f"{of.max():.0f}"])
+        said.append(f"{name} {mean:.0f} % ({' to '.join(ends)})")
     return f"{SHARE}, mean over the bands (range): {', '.join(said)}."
 
 

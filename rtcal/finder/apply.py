@@ -28,7 +28,16 @@ from rtcal.acoustics.changes import new_name
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import CHANGED, POSITION, Directivity, Material, Room, Scene, Surface
+from rtcal.acoustics.room import (
+    CHANGED,
+    LARGEST_PIECE,
+    POSITION,
+    Directivity,
+    Material,
+    Room,
+    Scene,
+    Surface,
+)
 from rtcal.calibration.methods import calibrate
 from rtcal.files import disk
 from rtcal.files.disk import make_folder, write_all
@@ -227,7 +236,10 @@ _OFF_GEOMETRY = 0.01
 """Share by which a geometry may differ from an area or a volume that the finding has changed."""
 _STEP = 1e-4
 """Step of alpha for a derivative."""
-_HELD = ("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation")
+_HELD = (
+    *("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation"),
+    "walls",
+)
 """Parts of a state that a room, or the equation that is named beside it, represents."""
 _DECAY, _NO_AIR, _TOO_MUCH = "decay not in a room", "air of no climate", "absorbs too much"
 """Codes of the reasons for which a simulator of the room cannot represent an effect either."""
@@ -284,6 +296,7 @@ class CaseModel(RoomSimulator):
 
         def absorbed(of: Array) -> Array:
             h = equation.contribution(np.minimum(of, equation.largest_alpha))
+            h = np.where(self.room.is_surface[:, np.newaxis], h, of)
             mean = np.minimum(self.room.areas @ h / self.room.total_area, highest(equation))
             return np.asarray(self.room.total_area * equation.exponent(mean))
 
@@ -320,6 +333,7 @@ class CaseModel(RoomSimulator):
             )
             if why is not None and (words := p.effect.not_in_simulator) is not None:
                 raise DataError(f"{p.name}: {words}" if why.code == _DECAY else str(why))
+        self.stated.refuse_pieces("make, a simulator of your own")
         inner, room = make(self.stated), self.case.room
         if not isinstance(inner, Simulator):
             raise DataError(
@@ -380,7 +394,7 @@ def corrected_case(case: Case) -> Corrected:
         before, after = after, with_applied(after, [p], base)
         for row in np.flatnonzero((after.alpha != before.alpha).any(axis=1)).tolist():
             name = room.materials[row]
-            changed = f"changed by rtcal find: {p.name}, {_size(p)}"
+            changed = f"changed by rtcal find: {p.name}, {_size(p, room)}"
             sources[name] = "; ".join(filter(None, [sources.get(name, ""), changed]))
         pairs = [(getattr(after, k), getattr(before, k)) for k in ("covering", "objects")]
         gain = np.array([one - other + np.zeros(room.n_bands) for one, other in pairs])
@@ -405,9 +419,12 @@ def corrected_case(case: Case) -> Corrected:
         alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min, after.alpha),
         sources=sources,
     )
-    if after.volume != room.volume or not np.array_equal(after.areas, room.areas):
+    other = after.areas != room.areas
+    if after.volume != room.volume or other.any():
         resized: dict[str, Any] = {"volume": after.volume, "areas": after.areas}
-        stated = stated.replace(**resized, dimensions=None, surfaces=())
+        if after.volume != room.volume or other[room.is_surface].any():
+            resized |= {"dimensions": None, "surfaces": ()}
+        stated = stated.replace(**resized)
     made, further = stated, _absorbers(stated, after, gains, absent)
     if further:
         new = [Surface(name=m.name, material=m.name, area=float(m.area or 0)) for m in further]
@@ -429,8 +446,9 @@ def corrected_case(case: Case) -> Corrected:
         notes.append(Reason("volume changed", {"now": made.volume, "before": room.volume}))
     for name, was, area in zip(room.materials, room.areas, made.areas, strict=False):
         if area != was:
-            other = {"material": name, "now": float(area), "before": float(was)}
-            notes.append(Reason("area changed", other))
+            which = "number" if name in room.pieces else "area"
+            values = {"material": name, "now": float(area), "before": float(was)}
+            notes.append(Reason(f"{which} changed", values))
     model = CaseModel(case, made, stated, after, absent)
     return Corrected(case=case, room=made, notes=tuple(notes), model=model)
 
@@ -496,8 +514,8 @@ def _absorbers(
                 np.minimum(alpha * spread, 1.0).tolist(),
                 0.0,
                 scattering,
-                f"rtcal find: {_size(p)}. It stands free with {size:.3g} m², so that a calibration "
-                "can make it absorb more",
+                f"rtcal find: {_size(p, stated)}. It stands free with {size:.3g} m², so that a "
+                "calibration can make it absorb more",
                 size,
             )
         )
@@ -522,8 +540,8 @@ def _smallest(standing: Callable[[float], Array], top: float, walls: float) -> f
     return high
 
 
-def _size(p: AppliedEffect) -> str:
-    return amount(p.size, p.effect.unit, p.size_interval).rstrip()
+def _size(p: AppliedEffect, room: Room) -> str:
+    return amount(p.size, p.effect.unit_in(p.parameters, room), p.size_interval).rstrip()
 
 
 def _is_air(air: Any, s: RoomState) -> bool:
@@ -548,7 +566,7 @@ def _sigma(case: Case, base: Configuration, before: RoomState, after: RoomState)
             )
             low, high = (state(replace(case, applied=each), base).alpha for each in sized)
             variance = variance + ((high - low) / (2 * NORMAL_90)) ** 2
-    return np.minimum(np.sqrt(variance), 1.0)
+    return np.minimum(np.sqrt(variance), case.room.most_alpha)
 
 
 # Surfaces.
@@ -758,11 +776,14 @@ def changed_room(
     areas = np.array(rows).sum(axis=1)
     mix = np.array(rows) / areas[:, np.newaxis]
     was = mix @ before.alpha
-    by_share = np.where(mean > 0, 1 - was, was)
+    # What is added has a surface; what is removed may be pieces such as persons.
+    pieces = np.array([name in before.pieces for name in names[len(names) - len(mix) :]])
+    most = np.where(pieces, LARGEST_PIECE, 1.0)[:, np.newaxis]
+    by_share = np.where(mean > 0, np.where(pieces[:, np.newaxis], 0.0, 1 - was), was)
     left = np.maximum(areas @ by_share, 1e-9)
-    alpha = np.clip(was + np.clip(mean / left, -1.0, 1.0) * by_share, 0.0, 1.0)
+    alpha = np.clip(was + np.clip(mean / left, -1.0, 1.0) * by_share, 0.0, most)
     sigma = np.hypot(mix @ before.sigma, by_share * spread / left)
-    sigma = np.clip(sigma, _LEAST_SIGMA, 1.0)
+    sigma = np.clip(sigma, _LEAST_SIGMA, most)
     lacking = mean - areas @ (alpha - was)
     sources = []
     for row in mix:

@@ -54,6 +54,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement, MeasurementTable
 from rtcal.acoustics.observables import MATCH, REVERBERATION, observable, parameter_label
 from rtcal.acoustics.room import (
+    LARGEST_PIECE,
     POSITION,
     Room,
     RoomFile,
@@ -167,7 +168,8 @@ class CaseTable(FileTable):
 class ChangedMaterial:
     """Hold the alpha (n_bands,) of a material in one configuration, and its standard uncertainty sigma.
 
-    Raises DataError if alpha or sigma is not an array of numbers from 0 to 1.
+    For pieces such as persons both are in m² per piece. Raises DataError if alpha or sigma is not an
+    array of numbers from 0 to 1; for pieces up to the largest absorption area of one piece.
     """
 
     alpha: Array
@@ -176,7 +178,10 @@ class ChangedMaterial:
     def __post_init__(self) -> None:
         for name in ("alpha", "sigma"):
             array = checks.array(f"change: {name}", getattr(self, name))
-            if array.ndim != 1 or not array.size or not ((array >= 0) & (array <= 1)).all():
+            within = (array >= 0) & (
+                array <= LARGEST_PIECE
+            )  # `Configuration.in_room`: 1, of a wall
+            if array.ndim != 1 or not array.size or not within.all():
                 raise DataError(f"change: {name} must be an array (n_bands,) of values from 0 to 1")
             object.__setattr__(self, name, read_only(array))
 
@@ -375,11 +380,14 @@ class Configuration:
                 )
             raise DataError(f"{where}: {self.simulated.nothing_common(whole, 'T20 or T30')}")
         for material, change in self.changes.items():
-            room.material_index(material)
+            most = float(room.most_alpha[room.material_index(material)].max())
             for name in ("alpha", "sigma"):
-                if getattr(change, name).shape != (room.n_bands,):
+                values = getattr(change, name)
+                if values.shape != (room.n_bands,) or values.max() > most:
+                    unit = "" if most == 1 else " m² per piece"
                     raise DataError(
-                        f'{where}: {name} of "{material}" must be {room.n_bands} values from 0 to 1'
+                        f'{where}: {name} of "{material}" must be {room.n_bands} values from 0 to '
+                        f"{most:g}{unit}"
                     )
         if self.distances is not None:
             # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
@@ -470,7 +478,7 @@ class Case:
     the equation is then taken for an error of the room's model."""
 
     def __post_init__(self) -> None:
-        checks.instance("room", self.room, Room).refuse_pieces("a case")
+        checks.instance("room", self.room, Room)
         mean_equation(self.equation)
         for name, kind in (("configurations", Configuration), ("applied", AppliedEffect)):
             every = checks.listed(name, getattr(self, name))
@@ -928,7 +936,7 @@ class StatesCase:
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)
-        checks.instance("room", self.room, Room).refuse_pieces("a case")
+        checks.instance("room", self.room, Room)
         checks.instance("before", self.before, Measurement).refuse_other_units()
         checks.instance("after", self.after, Measurement).refuse_other_units()
         checks.instance("equation", self.equation, LinearEquation)
@@ -1118,6 +1126,12 @@ def case_of(
     needs = "needs a room that states its sources and receivers, measured pair by pair"
     of_scene: dict[str, Any] = {}
     if simulator is None and of_pairs and room.scene.sources:
+        if room.pieces:
+            raise DataError(
+                f'room "{room.name}" has the [[object]] "{room.pieces[0]}", which has no surface, so '
+                "that rtcal cannot trace the room, as a search by positions must. Search by means over "
+                "positions: delete [sources] and [receivers] from the room's file"
+            )
         options = checks.mapped("tracing", {} if tracing is None else tracing)
         checks.texts("tracing: names", options)
         simulator = geometry_files.path_tracing(room, **options)

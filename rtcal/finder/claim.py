@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.files.disk import json_numbers
-from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect
+from rtcal.finder.effects import AppliedEffect, CoupledRoom, Effect, WrongArea
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
@@ -412,9 +412,14 @@ class Candidate:
         return middle if probability >= LOCATED * self.probability else None
 
     @property
+    def shown_as(self) -> str:
+        """Name of the effect in print: `effect`, but "number" for a wrong number of pieces."""
+        return WrongArea.NUMBER if self.unit == WrongArea.OF_NUMBER else self.effect
+
+    @property
     def title(self) -> str:
         """Name of the effect and its place, as part of a sentence."""
-        return f"{self.effect} {self.where}".rstrip()
+        return f"{self.shown_as} {self.where}".rstrip()
 
     @property
     def where(self) -> str:

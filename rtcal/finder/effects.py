@@ -25,7 +25,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import NOT_KNOWN
 from rtcal.acoustics.equations import Eyring, MeanEquation, Millington, Sabine, mean_equation
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import LARGEST, Room
+from rtcal.acoustics.room import LARGEST, LARGEST_PIECE, Room
 from rtcal.finder.model import (
     Decay,
     DirectionalDecay,
@@ -199,6 +199,10 @@ class Effect(ABC):
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the name of the room's material that the parameters refer to; None without one."""
         return None
+
+    def unit_in(self, parameters: Parameters, room: Room) -> str:
+        """Return the unit of the effect's size in a room; by default `unit`."""
+        return self.unit
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
         """Return the parameters in words, without the material and the parameter ``without``."""
@@ -621,7 +625,10 @@ class WrongStatement(Effect):
 
 @dataclass(frozen=True)
 class WrongArea(WrongStatement):
-    """Describe a wrong input area of one material, by the ratio of the true area to the input area."""
+    """Describe a wrong input area of one material, or a wrong number of pieces such as persons.
+
+    Its size is the ratio of the true area or number to the input.
+    """
 
     name: ClassVar[str] = "area"
     size: ClassVar[str] = "ratio"
@@ -632,12 +639,28 @@ class WrongArea(WrongStatement):
     }
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.0
+    NUMBER: ClassVar[str] = "number"
+    """Name in print of a wrong number of pieces."""
+    OF_NUMBER: ClassVar[str] = "of the input number"
+    """Unit of its ratio."""
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material of the room with 0.35 to 2.9 times its input area."""
         ratios = [r for r in np.geomspace(0.35, 2.9, 12) if abs(r - 1) > 0.05]
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
+
+    def title(self, parameters: Parameters, room: Room) -> str:
+        """Return the title for a sentence, such as ``area of "plaster"``, or the number of pieces."""
+        name = self.material(parameters, room)
+        if name in room.pieces:
+            return f'{self.NUMBER} of "{name}"'
+        return super().title(parameters, room)
+
+    def unit_in(self, parameters: Parameters, room: Room) -> str:
+        """Return the unit of the ratio, which for pieces is that of their number."""
+        pieces = self.material(parameters, room) in room.pieces
+        return self.OF_NUMBER if pieces else self.unit
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
         """Return the ratio's probability before the measurement: ln ratio is normal, of spread 0.5."""
@@ -787,8 +810,11 @@ class CoveredSurface(WrongStatement):
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return each material softer than the cover, with a covered share of 0.12 to 0.9."""
-        middle = state.alpha.mean(1)
+        """Return each surface softer than the cover, with a covered share of 0.12 to 0.9.
+
+        Pieces such as persons have no surface that can be covered.
+        """
+        middle = np.where(state.walls, state.alpha.mean(1), 0.0)
         rows = np.flatnonzero(middle > 2 * HARD)
         rows = rows if len(rows) else np.array([int(np.argmax(middle))])
         return [{"material": float(j), "share": s} for j, s in product(rows, self.shares)]
@@ -1305,7 +1331,7 @@ def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
         return False
     either = name in ("covering", "objects")  # by band, or alike in all
     shapes = [np.shape(state.air), ()] if either else [np.shape(getattr(state, name))]
-    least, most = _RULES[name]
+    least, most = _ends(name, state)
     if together.dtype.kind not in "fiu" or together.shape[1:] not in shapes:
         return False
     return bool((np.isfinite(together) & (together >= least) & (together <= most)).all())
@@ -1319,9 +1345,18 @@ def _disobeyed(place: str, name: str, value: Any, state: RoomState) -> str:
         return (
             f"{said} of shape {found.shape}; {name} must be of shape {usual}, as without the effect"
         )
+    least, most = _ends(name, state)
+    at = tuple(np.argwhere(~(np.isfinite(found) & (found >= least) & (found <= most)))[0])
+    end = float(np.broadcast_to(most, found.shape)[at])
+    return f"{said} = {found[at]:.6g}; {name} must be {_rule(least, end)}"
+
+
+def _ends(name: str, state: RoomState) -> tuple[float, Any]:
+    """Return the least and largest value of a field of a state; pieces may have more than alpha = 1."""
     least, most = _RULES[name]
-    wrong = found[~(np.isfinite(found) & (found >= least) & (found <= most))]
-    return f"{said} = {wrong.flat[0]:.6g}; {name} must be {_rule(least, most)}"
+    if name == "alpha" and state.walls is not True:
+        return least, np.where(state.walls, most, LARGEST_PIECE)[:, np.newaxis]
+    return least, most
 
 
 def _rule(least: float, most: float) -> str:

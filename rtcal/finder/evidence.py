@@ -379,11 +379,11 @@ class OffTogether:
     def apply(self, case: Case) -> Case:
         """Return the case with alpha multiplied by the factor, and sigma widened by its spread."""
         room = case.room
-        alpha, sigma = self._moved(np.array(room.alpha), np.array(room.sigma), slice(None))
+        alpha, sigma = self._moved(room, np.array(room.alpha), np.array(room.sigma), slice(None))
         configurations = []
         for c in case.configurations:
             changes = {
-                m: ChangedMaterial(*self._moved(v.alpha, v.sigma, room.material_index(m)))
+                m: ChangedMaterial(*self._moved(room, v.alpha, v.sigma, room.material_index(m)))
                 for m, v in c.changes.items()
             }
             configurations.append(replace(c, changes=changes))
@@ -391,10 +391,11 @@ class OffTogether:
             case, room=room.replace(alpha=alpha, sigma=sigma), configurations=configurations
         )
 
-    def _moved(self, alpha: Array, sigma: Array, rows: Any) -> tuple[Array, Array]:
-        moved = np.clip(alpha * self.factor[rows], 0.0, 1.0)
+    def _moved(self, room: Room, alpha: Array, sigma: Array, rows: Any) -> tuple[Array, Array]:
+        most = room.most_alpha
+        moved = np.clip(alpha * self.factor[rows], 0.0, most[rows])
         wide = np.hypot(sigma * self.factor[rows], moved * self.spread[rows])
-        return moved, np.minimum(wide, 1.0)
+        return moved, np.minimum(wide, most[rows])
 
 
 def off_together(

@@ -24,7 +24,7 @@ _LN6 = 6 * np.log(10)
 _STEPS = 12
 _FROM_ENDS = 1e-6
 """Distance of the mean over the walls from 0 (absolute) and the equation's largest mean (relative)."""
-_ARRAYS = ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects")
+_ARRAYS = ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects", "walls")
 """The arrays of a state."""
 STEEPEST = 0.98
 """Largest coefficient at which a derivative is computed; above it, ln T is far from linear in alpha."""
@@ -78,6 +78,10 @@ class RoomState:
         Noise level relative to the start of the decay, in a record of ``record`` reverberation times.
     direct_db : float
         Level of the direct sound relative to that of an omnidirectional source.
+    walls : array (n_materials,) of bool, or True
+        Whether each material is a surface. Others are pieces such as persons, with their number as
+        area and m² per piece as alpha; they add to the equation's sum of S_i h(alpha_i), as in
+        `rtcal.acoustics.equations.MeanEquation`. True means surfaces alone.
     shape : optional
         Function that returns the `Decay` of the state; None means a single exponential decay.
     """
@@ -97,6 +101,7 @@ class RoomState:
     record: float = 2.0
     direct_db: float = 0.0
     volume_sigma: float = 0.1
+    walls: Any = True
 
     def locked(self) -> RoomState:
         """Return the state with read-only arrays, which an effect of your own cannot change."""
@@ -124,17 +129,23 @@ class RoomState:
             speed_of_sound=room.speed_of_sound,
             equation=equation,
             volume_sigma=volume_sigma_of(room),
+            walls=room.is_surface if room.pieces else True,
         )
 
     @property
     def total_area(self) -> float:
         """Area of all surfaces S in m²."""
-        return float(self.areas.sum())
+        return float(self.areas.sum(where=self.walls))
 
     @property
     def directions_known(self) -> bool:
         """Whether the directions of a material are known: a share along an axis other than a third."""
         return not np.allclose(self.facing, 1 / 3)
+
+    @property
+    def of_pieces(self) -> Array:
+        """Absorption area of the pieces in m², (n_bands,)."""
+        return np.where(self.walls, 0.0, self.areas) @ self.alpha
 
     @property
     def surface_absorption(self) -> Array:
@@ -153,7 +164,7 @@ class RoomState:
     @cached_property
     def wall(self) -> Array:
         """Mean alpha of the materials; cached, since every grid point covers part of one state."""
-        return np.asarray(self.areas @ self.alpha / self.total_area)
+        return np.asarray(np.where(self.walls, self.areas, 0.0) @ self.alpha / self.total_area)
 
     def covered(self, area: float, spectrum: Array) -> RoomState:
         """Return the state with ``area`` m² of wall replaced by a cover of alpha ``spectrum``."""
@@ -209,9 +220,12 @@ def highest(equation: MeanEquation) -> float:
 def mean_contributions(equation: MeanEquation, states: Sequence[RoomState]) -> Array:
     """Return the equation's mean over the walls, (n, n_bands), within the equation's range."""
     areas, alpha = _stacked(states)
-    walls = equation.contribution(np.minimum(alpha, equation.largest_alpha))
-    total = np.einsum("nm,nmk->nk", areas, walls) + _attribute(states, "covering")
-    return np.asarray(np.clip(total / areas.sum(1)[:, None], _FROM_ENDS, highest(equation)))
+    each = equation.contribution(np.minimum(alpha, equation.largest_alpha))
+    if (walls := states[0].walls) is not True:
+        each = np.where(walls[:, None], each, alpha)  # pieces are no wall that reflects
+    total = np.einsum("nm,nmk->nk", areas, each) + _attribute(states, "covering")
+    area = areas.sum(1, where=walls)[:, None]
+    return np.asarray(np.clip(total / area, _FROM_ENDS, highest(equation)))
 
 
 def surface_absorption(states: Sequence[RoomState]) -> Array:
@@ -219,7 +233,7 @@ def surface_absorption(states: Sequence[RoomState]) -> Array:
     out = np.empty((len(states), len(states[0].air)))
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
-        areas = np.array([s.areas for s in group]).sum(1)[:, None]
+        areas = np.array([s.areas for s in group]).sum(1, where=group[0].walls)[:, None]
         out[where] = areas * equation.exponent(mean_contributions(equation, group))
     return out
 
@@ -249,10 +263,12 @@ def sensitivities(states: Sequence[RoomState]) -> Array:
         areas, alpha = _stacked(group)
         mean = mean_contributions(equation, group)
         slope = equation.slope(np.minimum(mean, STEEPEST))[:, None, :]
-        walls = equation.contribution_slope(np.minimum(alpha, STEEPEST))
+        each = equation.contribution_slope(np.minimum(alpha, STEEPEST))
+        if group[0].walls is not True:
+            each = np.where(group[0].walls[:, None], each, 1.0)
         volume = np.array([s.volume for s in group])[:, None]
         flow = speeds(group)[:, None] / (4 * volume) * areas
-        out[where] = flow[:, :, None] * slope * walls
+        out[where] = flow[:, :, None] * slope * each
     return out
 
 
@@ -395,15 +411,23 @@ class DirectionalDecay:
         # Shares of the surfaces' absorption by axis; equal shares where they absorb nothing.
         by_axis = np.array(
             [
-                (s.facing * s.areas[:, None]).T @ alpha / (s.areas @ alpha)
+                (s.facing * areas[:, None]).T @ alpha / (areas @ alpha)
                 for s in states
                 for alpha in [np.maximum(s.alpha, 1e-9)]
+                for areas in [np.where(s.walls, s.areas, 0.0)]
             ]
         )
-        absorbed = by_axis * surface_absorption(states)[:, None, :]
+        absorbing = surface_absorption(states)
+        # Pieces absorb alike in every direction: the share that they have in the mean.
+        of_pieces = np.zeros_like(absorbing)
+        if states[0].walls is not True:
+            alone = [replace(s, walls=True, areas=np.where(s.walls, s.areas, 0.0)) for s in states]
+            of_pieces = absorbing - surface_absorption(alone)
+        absorbed = by_axis * (absorbing - of_pieces)[:, None, :]
         rate = c[:, :, None] / (2 * volume[:, :, None]) * (u.T @ absorbed).swapaxes(1, 2)
         nothing = np.zeros_like(states[0].air)
         everywhere = c * np.array([s.air + (s.objects + nothing) / (4 * s.volume) for s in states])
+        everywhere = everywhere + c * of_pieces / (4 * volume)
         nu = np.array([[s.scattering] for s in shapes]) * c * area / (4 * volume)
         # E' = -(diag(r + nu) - nu root root') E, where each direction counts by the root of its weight.
         root = np.sqrt(weight)

@@ -296,14 +296,17 @@ def coefficients(
     interval: tuple[Array, Array] | None = None,
     at_bound: NDArray[np.bool_] | None = None,
     most: Sequence[int] | None = None,
+    of: Sequence[int] | None = None,
 ) -> Table:
     """Return the table of input and calibrated coefficients by material and band.
 
     ``room`` has the input coefficients. ``alpha`` are the calibrated ones, ``interval`` the ends of
     their 90 % interval, and ``at_bound`` is True for those that get a star; all are (n_materials,
     n_bands). Without ``interval`` or ``at_bound``, the table has no intervals or stars. ``most`` are
-    the numbers of the materials that a page shows at first; None means all.
+    the numbers of the materials that a page shows at first, ``of`` of those in the table; None means
+    all.
     """
+    every = [*range(room.n_materials)] if of is None else [*of]
 
     def cell(i: int, k: int) -> str:
         star = "*" if at_bound is not None and at_bound[i, k] else ""
@@ -317,16 +320,16 @@ def coefficients(
         bands.labels(room.centre_frequencies),
         [
             Row(
-                f"{room.materials[i]}, {room.areas[i]:.4g} m²",
+                f"{room.materials[i]}, {room.areas[i]:.4g} {'m²' if room.is_surface[i] else 'pieces'}",
                 alpha[i],
                 shown=[cell(i, k) for k in range(room.n_bands)],
                 others={"input": room.alpha[i], **{k: end[i] for k, end in others.items()}},
             )
-            for i in range(room.n_materials)
+            for i in every
         ],
         title,
         "Material",
-        most=most,
+        most=None if most is None else [every.index(i) for i in most if i in every],
     )
 
 

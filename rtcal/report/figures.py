@@ -10,7 +10,7 @@ import io
 import os
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
@@ -108,12 +108,14 @@ def of_materials(
     frequencies: Array,
     draw: Callable[[Any, int], None],
     columns: int,
+    pieces: Collection[str] = (),
 ) -> Any:
     """Return a figure with a small panel for each material, at most twelve, over the bands.
 
     If there are more materials, those with the largest ``size`` (n_materials,) are drawn. ``draw`` is a
     function that draws the panel of a material, from the panel's axes and the material's number.
     ``areas`` are in m², ``frequencies`` in Hz. The legend has at most ``columns`` columns.
+    ``pieces`` are the names of materials whose ``areas`` are numbers of pieces.
     """
     chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
     n = len(chosen)
@@ -122,7 +124,8 @@ def of_materials(
     for axes, i in zip(every, chosen, strict=True):
         axes.tick_params(labelsize=8.5)
         draw(axes, int(i))
-        axes.set_title(f"{shown(materials[i], 28)}, {areas[i]:.4g} m²", fontsize=9)
+        unit = "pieces" if materials[i] in pieces else "m²"
+        axes.set_title(f"{shown(materials[i], 28)}, {areas[i]:.4g} {unit}", fontsize=9)
     handles, labels = every[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(n, columns), fontsize=9)
     return figure
@@ -261,7 +264,7 @@ def coefficients(result: CalibrationResult) -> Any:
     def draw(axes: Any, i: int) -> None:
         prior, after, bound = room.alpha[i], result.alpha[i], result.active[i] != 0
         spread = NORMAL_90 * room.sigma[i]
-        error = np.abs(np.clip([prior - spread, prior + spread], 0, 1) - prior)
+        error = np.abs(np.clip([prior - spread, prior + spread], 0, room.most_alpha[i]) - prior)
         style = {"markersize": 4, "markerfacecolor": "white", "capsize": 2}
         style |= {**BEFORE, "linestyle": "none"}
         axes.errorbar(f / apart, prior, yerr=error, **style, label="input, 90 %")
@@ -273,12 +276,12 @@ def coefficients(result: CalibrationResult) -> Any:
         at = f[bound] * apart, after[bound]
         (stars,) = axes.plot(*at, **style, clip_on=False, label="at a bound")
         stars.set_in_layout(False)
-        axes.set_ylabel("α", fontsize=9)
+        axes.set_ylabel("α" if room.is_surface[i] else "m² per piece", fontsize=9)
         axes.set_ylim(0, None)
         axes.margins(y=0.1)
 
     size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
-    figure = of_materials(room.materials, room.areas, size, f, draw, 2)
+    figure = of_materials(room.materials, room.areas, size, f, draw, 2, room.pieces)
     figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
     return figure
 
@@ -504,7 +507,7 @@ def corrected_shifts(verification: Verification) -> Any:
             axes.errorbar(f * by, shift, yerr=bars, **small, label=shown(label))
         axes.set_ylabel("shift of α", fontsize=9)
 
-    return of_materials(room.materials, room.areas, moved, f, draw, 1)
+    return of_materials(room.materials, room.areas, moved, f, draw, 1, room.pieces)
 
 
 _SHOWN = 0.02

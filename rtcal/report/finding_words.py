@@ -249,6 +249,7 @@ SENTENCES: dict[str, str] = {
     "no place": "The {lost:and}: they do not have the areas or the volume that were found.",
     "volume changed": "The input volume: it was {before:.4g} m³ and is now {now:.4g} m³.",
     "area changed": 'The input area of "{material}": it was {before:.4g} m² and is now {now:.4g} m².',
+    "number changed": 'The input number of "{material}": it was {before:.4g} and is now {now:.4g}.',
     "patch too large": 'A patch of {patch:.3g} m² does not fit on "{surface}" of {area:.3g} m²: the '
     "whole surface gets the new material.",
     "patch drawn larger": "The patch has {drawn:.3g} m² in the mesh instead of the {size:.3g} m² that "
@@ -279,6 +280,7 @@ SENTENCES: dict[str, str] = {
 _CHECK = "look it up in the documents of the room, or measure it directly"
 CHECKS = {
     "area": "compare the areas with the drawings, or measure them in the room",
+    "number": "count the pieces in the room",
     "volume": "compare the volume with the drawings, or measure it in the room",
     "formula": "simulate the room with a geometrical program, which needs no equation, and search with "
     "its result (rtcal find --simulated)",
@@ -408,7 +410,7 @@ def named(c: Candidate) -> str:
     >>> named(Candidate(effect="membrane", family="", probability=0.5, surface="west"))
     'panel absorber on "west"'
     """
-    return f"{called(c.effect)} {c.where}".rstrip()
+    return f"{called(c.shown_as)} {c.where}".rstrip()
 
 
 def likely(name: str, probability: float) -> str:
@@ -1303,7 +1305,7 @@ def effects_of(r: Recalibrated) -> list[str]:
     for p in r.case.applied:
         of = p.effect.describe(p.parameters)
         if p.name in r.sizes:
-            of = amount(p.size, p.effect.unit, p.size_interval)
+            of = amount(p.size, p.effect.unit_in(p.parameters, r.case.room), p.size_interval)
         out.append(f"{p.effect.title(p.parameters, r.case.room)}: {of}")
     return out
 
@@ -1318,5 +1320,6 @@ def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list
         Row(m, [with_uncertainty(a[i].mean(), half[i].mean(), 3) for a, half in alphas.values()])
         for i, m in enumerate(room.materials)
     ]
-    title = "alpha ± half its 90 % interval, means over bands"
+    of_pieces = f" (of {listed(room.pieces)} in m² per piece)" if room.pieces else ""
+    title = f"alpha{of_pieces} ± half its 90 % interval, means over bands"
     return [Table([*alphas], rows, title), *(Note(line, "  ") for line in effects_of(r))]

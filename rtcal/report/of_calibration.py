@@ -12,7 +12,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.marks import MET
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.room import MAX_BYTES
+from rtcal.acoustics.room import LARGEST_PIECE, MAX_BYTES
 from rtcal.calibration import table
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
@@ -71,9 +71,13 @@ def blocks(result: CalibrationResult) -> list[Any]:
     rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS]).tolist()
     of_all = f"; the {len(rows)} of {len(size)} materials that absorb most"
     title = (
-        f"Absorption coefficients: input → calibrated, below it the 90 % "
+        f"{{}}: input → calibrated, below it the 90 % "
         f"interval; * at a bound{of_all if len(rows) < len(size) else ''}"
     )
+    kinds = {
+        "Absorption coefficients": np.flatnonzero(room.is_surface).tolist(),
+        "Absorption area of one piece in m²": np.flatnonzero(~room.is_surface).tolist(),
+    }
     left = np.abs(result.gap_after) >= MET
     marked = {m.frequency for m in result.trust_marks if m.frequency is not None}
     marked |= {*room.centre_frequencies[left].tolist()}
@@ -114,7 +118,19 @@ def blocks(result: CalibrationResult) -> list[Any]:
         *cautions(result.trust_marks),
         Items(table.remarks(record)),
         Section("Tables", "tables"),
-        coefficients(title, room, result.alpha, result.interval, result.active != 0, rows),
+        *(
+            coefficients(
+                title.format(what),
+                room,
+                result.alpha,
+                result.interval,
+                result.active != 0,
+                rows,
+                of,
+            )
+            for what, of in kinds.items()
+            if of
+        ),
         Note(
             f"The intervals are those of {posterior}. The calibrated coefficient lies within its "
             "interval.",
@@ -194,7 +210,11 @@ def assumed(result: CalibrationResult) -> list[str]:
     errors = " and ".join(filter(None, correlated)) or "are independent of each other"
     floors = ", or above the lower limits of the room's file" if room.alpha_min is not None else ""
     sentences = [
-        f"Volume {room.volume:g} m³ and areas of {room.areas.sum():g} m² in all.",
+        f"Volume {room.volume:g} m³ and areas of {room.total_area:g} m² in all.",
+        *(
+            f'{room.material(name).area:g} pieces "{name}", which add absorption and no area.'
+            for name in room.pieces
+        ),
         "No air, so the surfaces are made to absorb what the air does."
         if air is None
         else f"Air of {air.temperature:g} °C, {air.humidity:g} % relative humidity and "
@@ -207,6 +227,7 @@ def assumed(result: CalibrationResult) -> list[str]:
         "materials follows from these standard deviations alone.",
         _measured(result),
         f"Coefficients lie between 0 and 1{floors}.",
+        *([f"One piece absorbs at most {LARGEST_PIECE:g} m²."] if room.pieces else []),
     ]
     if result.effects:
         sizes = ", ".join(f"{name} = {size:.4g}" for name, size in result.effects.items())

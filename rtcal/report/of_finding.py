@@ -426,7 +426,8 @@ def instructions(
         if name not in old:
             new.append(Row(f"{name}, {area:.3g} m²", alpha, ".3f"))
         elif np.abs(alpha - old[name]).max() > _SAME:
-            rows += [Row(f"{name}, old", old[name], ".3f"), Row(f"{name}, new", alpha, ".3f")]
+            of = f"{name} (m² per piece)" if name in room.pieces else name
+            rows += [Row(f"{of}, old", old[name], ".3f"), Row(f"{of}, new", alpha, ".3f")]
     where = (
         "anywhere, because means over positions do not show the place; distribute it, or put "
         "it where it is likely"

@@ -156,15 +156,20 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     """Return a read-only copy of coefficients, once they are checked for a simulator or a room.
 
     Raises DataError if ``alpha`` does not have the shape (n_materials, n_bands) of the simulator or
-    room ``of``, or if a coefficient is not from 0 to 1.
+    room ``of``, or if a coefficient is not from 0 to 1; that of pieces (`Room.pieces`) may be larger.
     """
     materials, frequencies = of.materials, of.centre_frequencies
     ordered = in_order("alpha", alpha, materials)
     alpha = checks.shaped("alpha", ordered, len(materials), len(frequencies))
-    if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
+    room = getattr(of, "room", of)
+    most: Array | float = 1.0
+    if isinstance(room, Room) and room.n_materials == len(materials):
+        most = room.most_alpha
+    if (outside := ~((alpha >= 0) & (alpha <= most))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
         place = f'alpha["{materials[i]}", {bands.label(frequencies[k])}]'
-        raise DataError(f"{place} = {alpha[i, k]:g} must be from 0 to 1")
+        end = np.broadcast_to(most, alpha.shape)[i, k]
+        raise DataError(f"{place} = {alpha[i, k]:g} must be from 0 to {end:g}")
     return alpha
 
 

@@ -107,19 +107,20 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     """Draw random coefficients of a case's room, (n, n_configurations, n_materials, n_bands).
 
     They are normally distributed with the input alpha, its sigma and the room's correlation between
-    bands, and limited to 0.001 to 0.99. A material that a configuration changes is drawn independently.
-    Each material has random numbers of its own from ``rng``, so that the order of materials has no
-    effect.
+    bands, and limited to 0.001 to 0.99 times the largest possible. A material that a configuration
+    changes is drawn independently. Each material has random numbers of its own from ``rng``, so that
+    the order of materials has no effect.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
     factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(room.n_bands))
 
-    def drawn(of_name: np.random.Generator, mean: Array, sigma: Array) -> Array:
+    def drawn(of_name: np.random.Generator, mean: Array, sigma: Array, most: Array) -> Array:
         z = of_name.standard_normal((n, room.n_bands)) @ factor.T
-        return np.asarray(np.clip(mean + sigma * z, 0.001, 0.99))
+        return np.asarray(np.clip(mean + sigma * z, 0.001, most))
 
-    each = zip(by_name(rng, room.materials), room.alpha, room.sigma, strict=True)
+    highest = 0.99 * room.most_alpha
+    each = zip(by_name(rng, room.materials), room.alpha, room.sigma, highest, strict=True)
     base = np.stack([drawn(*of_material) for of_material in each], axis=1)
     out = np.repeat(base[:, None], len(case.configurations), axis=1)
     for c, configuration in enumerate(case.configurations):
@@ -127,7 +128,7 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
         names = [f"{material} in {configuration.name}" for material in changes]
         for of_name, (material, change) in zip(by_name(rng, names), changes.items(), strict=True):
             row = room.material_index(material)
-            out[:, c, row] = drawn(of_name, change.alpha, change.sigma)
+            out[:, c, row] = drawn(of_name, change.alpha, change.sigma, highest[row])
     return out
 
 
@@ -136,9 +137,11 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
 
     The reference room is a box with one material for the two walls across each axis. The shares are
     (n_materials, 3). The product of the shares with the case's alpha is the mean alpha of these walls.
+    Pieces such as persons have no wall: each wall absorbs as much more as they add to the mean alpha.
     """
     room = case.room
-    towards = room.areas[:, None] * np.where(np.isfinite(case.facing), case.facing, 1 / 3)
+    walls = np.where(room.is_surface, room.areas, 0.0)
+    towards = walls[:, None] * np.where(np.isfinite(case.facing), case.facing, 1 / 3)
     total = np.maximum(towards.sum(0), 1e-3 * room.total_area)
     if room.dimensions is not None:
         sides = np.array(room.dimensions)
@@ -161,7 +164,9 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
         dimensions=(x, y, z),
         surfaces=geometry.surfaces,
     )
-    return control, geometry, towards / total
+    share = towards / total
+    share[~room.is_surface] = room.areas[~room.is_surface, np.newaxis] / room.total_area
+    return control, geometry, share
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,14 @@ from rtcal.acoustics.air import Air
 from rtcal.files.saved import Result
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.claim import WORDS, Reason
-from rtcal.finder.effects import AppliedEffect, Effect, Porous, checked_effects, judged_effects
+from rtcal.finder.effects import (
+    AppliedEffect,
+    Effect,
+    Porous,
+    WrongArea,
+    checked_effects,
+    judged_effects,
+)
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN, prior_of, student
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import (
@@ -412,12 +419,15 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> Reas
         return Reason("measure again" if candidates else "nothing to distinguish")
     best, *others = named
     removed = any(c.suspect_removed for c in problem.case.configurations)
+    rows = predicted.rows[best]
+    first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
     if not others:
         removable = predicted.effects[best].removable
         kind = "look it up" if not removable else "confirmed" if removed else "measure without"
-        return Reason(kind, {"effect": best})
-    rival, rows = others[0], predicted.rows[best]
-    first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
+        room, parameters = problem.case.room, predicted.parameters[first]
+        unit = predicted.effects[best].unit_in(parameters, room)
+        return Reason(kind, {"effect": WrongArea.NUMBER if unit == WrongArea.OF_NUMBER else best})
+    rival = others[0]
     now, complete = separations(problem, first)[rival], np.all(problem.observed.used, axis=(0, 2))
     options = [
         (separations(problem, first, features)[rival], kind)
@@ -491,7 +501,7 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherM
         climate = {"humidity": other.humidity, "temperature": other.temperature}
         add("another climate", climate, replace(first, air=other))
     # The largest surface, covered with mineral wool of known coefficients.
-    material = room.materials[int(np.argmax(room.areas))]
+    material = room.materials[int(np.argmax(np.where(room.is_surface, room.areas, 0.0)))]
     alpha = np.clip(Porous().spectrum(room.centre_frequencies, _ABSORBER), 0.02, 0.98)
     covered = {material: ChangedMaterial(alpha, 0.01 + 0.07 * alpha)}
     values = {"material": material, "thickness": 1000 * _ABSORBER["thickness"]}

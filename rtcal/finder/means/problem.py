@@ -1245,7 +1245,7 @@ def draw_null_features(
     """
     in_common = drawn(directions(case, NULL_POWER), case.room.materials, rng, n)
     alphas = draw_alpha(case, rng, n) + in_common
-    alphas = np.clip(alphas, 0.001, 0.99)
+    alphas = np.clip(alphas, 0.001, 0.99 * case.room.most_alpha)
     rows = [
         predict_in(case, c, states(case, c, [a[i] for a in alphas])).features
         for i, c in enumerate(case.configurations)
@@ -1485,7 +1485,7 @@ def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float
         pull = np.zeros(out.shape)  # G' C^-1 (y - mean)
         np.add.at(pull.T, b, explained[:, None] * slopes[k])
         out += weights[k] / weights.sum() * room.sigma * ((room.sigma * pull) @ rho)
-    return np.clip(out, 0.0, 1.0)
+    return np.clip(out, 0.0, compared.case.room.most_alpha)
 
 
 MOST = 3

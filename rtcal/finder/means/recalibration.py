@@ -129,7 +129,7 @@ class Recalibrated(Result):
                 {
                     **p.to_dict(),
                     "size": self.sizes.get(p.name),
-                    "unit": p.effect.unit,
+                    "unit": p.effect.unit_in(p.parameters, room),
                     "material": p.effect.material(p.parameters, room),
                 }
                 for p in self.case.applied
@@ -240,6 +240,7 @@ def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) ->
         air=room.air,
         alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min[rows], alpha),
         band_correlation=room.band_correlation,
+        pieces=(*room.pieces, *(name for name, like in further.items() if like in room.pieces)),
     )
 
 

@@ -478,7 +478,8 @@ def estimate_size(
         by_size = kernel / kernel.sum(0) @ by_size
     cumulated = np.cumsum(by_size) - 0.5 * by_size
     interval = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
-    return best, Size(float(by_size @ size_of(fine)), interval[0], interval[1], effect.unit, end)
+    unit = effect.unit_in(best, evidence.problem.case.room)
+    return best, Size(float(by_size @ size_of(fine)), interval[0], interval[1], unit, end)
 
 
 _LEAST_DENSITY = 1e-30
