@@ -482,9 +482,9 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
 
 
 def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
-    """Return the changes, with each removal of a material that lies on a surface as a covering.
+    """Return the changes, in which a covering replaces the removal of a material that lies on another.
 
-    The material that lies below, and becomes bare, then covers the removed one. The names of the room's
+    The material below, which becomes bare, then covers the removed one. The names of the room's
     surfaces state which material lies on which (`rtcal.acoustics.room.lying_on`); all other materials
     are free-standing. Raises DataError for an object that is no `Change`, and for a removed material
     of which only a part lies on others. In a closed box, DataError is also raised for a removed surface

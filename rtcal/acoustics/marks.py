@@ -82,7 +82,7 @@ octaves 25 % for f = 2 and 75 % for f = 3, in 18 third-octaves 94 % for f = 2.""
 class Plausibility:
     """Agreement of the measured T with the input coefficients, judged by their uncertainties.
 
-    The deviation after a calibration cannot show this, because the calibration removes the deviation.
+    The deviation after a calibration cannot show this agreement, because calibration removes it.
     """
 
     z: Array
@@ -431,10 +431,10 @@ _BY_CHANCE = 1e-2
 
 
 def given_twice(measured: Measurement) -> tuple[str, ...]:
-    """Return a caution for each position with the same values as an earlier position.
+    """Return a caution for each position whose values all equal those of an earlier position.
 
-    Values of two positions are within about one JND of each other, so that two equal ones are a chance
-    of one to the number of steps of rounding in a JND.
+    A position with few values has a caution only if they are unlikely to be equal by chance. The chance
+    for one value is 1 over the number of rounding steps that one JND has.
     """
     every, names = np.hstack([*measured.values.values()]), [*map(" to ".join, measured.pairs)]
     steps = np.hstack([_steps(OBSERVABLES[key], v) for key, v in measured.values.items()])
@@ -576,7 +576,7 @@ which on a decimal point or a unit is wrong. Empty and furnished rooms differ by
 def of_unit(
     times: Array, stated: Array, name: str = "T", of: str = "that of the input coefficients"
 ) -> list[TrustMark]:
-    """Return a caution if T may be in another unit, because one large factor is missing in all bands.
+    """Return a caution if T differs by one large factor in all bands, as if it were in another unit.
 
     ``times`` are the measured T in s and ``stated`` the T in s to compare with, such as that of the
     input coefficients; both are (n_bands,), NaN where missing. ``name`` is the name of the measured T

@@ -477,8 +477,8 @@ class Measurement:
         """Return the standard uncertainty u of a parameter's `mean`, (n_bands,), NaN where unknown.
 
         ``parameter`` is a key, such as ``"t20"``. If all values of a band state an uncertainty, u
-        follows from these as independent errors. Otherwise, for T20 and T30, u² is the larger of s² /
-        n_eff and the variance of ISO 3382-2:2008, Eqs. 4 and 5 (N pairs, n = 10 decays). s is the
+        follows from these as independent errors. Otherwise u² is s² / n_eff, or for T20 and T30 the
+        variance of ISO 3382-2:2008, Eqs. 4 and 5 (N pairs, n = 10 decays), if that is larger. s is the
         standard deviation over the pairs. n_eff is the larger of the numbers of sources and of
         receivers, because pairs that share a source are not independent. If a common uncertainty is
         stated, its square is added to u², and the part of u² from the values' uncertainties is then at

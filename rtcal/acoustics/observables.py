@@ -421,7 +421,7 @@ class DecaySlope(Relative):
         return np.where(self.too_short(energy), np.nan, self.of_curve(level, bin_width))
 
     def of_curve(self, level: Array, bin_width: float) -> Array:
-        """Return the decay times in s of decay curves, (...), without a check of their end.
+        """Return the decay times in s of decay curves, (...), even of curves that end too early.
 
         ``level`` (..., n_bins) are the decay curves in dB, ``bin_width`` the width of a time bin in s.
         A decay time is NaN if fewer than two points lie within the range of levels, or if the curve

@@ -96,14 +96,14 @@ class Scene:
     ----------
     mesh : path, optional
         File of the room's mesh (Wavefront OBJ), which is not read here. Without it the room is the box
-        of its dimensions. A path in a file is relative to that file.
+        of its dimensions. In a room's file, the path is relative to that file.
     unit : float
         Length of the mesh's unit in m, such as 0.001 for mm.
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names that the measurement's pairs have. Give both, or neither.
     directivity : mapping of str to Directivity or "unknown"
-        Directivity of each source; a source without one is taken as omnidirectional. Its file's path,
-        in a file, is relative to that file.
+        Directivity of each source; a source without one is taken as omnidirectional. Paths of balloons
+        are as that of the mesh.
     position_uncertainty : float
         Root mean square error of the positions in m.
     leaks : bool
@@ -624,7 +624,7 @@ def with_patches(
 
 
 def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, float]:
-    """Return the area of a material in m² on each material below it; None is the key of bare surfaces.
+    """Return the area in m² with which a material lies on each other one, by the name of the other.
 
     A surface that is named "floor: audience" lies on the surface "floor", as `with_patches` names it.
     The part of the material's area that lies on no other surface has the key None.

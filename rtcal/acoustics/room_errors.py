@@ -50,8 +50,8 @@ class Assumptions:
         It adds the standard deviation least / alpha to ln f, which is large for small alpha.
     evenness, evenness_sigma : float
         Mean and standard deviation of the number that interpolates ln T if the surfaces of one axis
-        absorb more than the others: 0 is the shortest T of three equations (the room's own, Arau-
-        Puchades' and Fitzroy's), 1 the middle T and 2 the longest.
+        absorb more than the others: 0 is the shortest T of three equations (the room's own and those
+        of Arau-Puchades and Fitzroy), 1 the middle T and 2 the longest.
     one_surface : float
         Probability that all exchanged surfaces are on one axis, if the room does not give their axes.
     own : float

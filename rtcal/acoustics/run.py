@@ -128,7 +128,7 @@ class Run:
         Raises
         ------
         DataError
-            If run and measurement have no parameter and band in common, with ``by_pair`` at one pair.
+            If run and measurement have no parameter and band in common or, with ``by_pair``, no pair.
         """
         run, measured = self.simulated, measured.in_bands(self.room.centre_frequencies)
         own = run.pairs, measured.pairs

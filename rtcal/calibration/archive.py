@@ -323,8 +323,8 @@ class Archive(Result):
             Room that is not calibrated yet.
         names : mapping of str to str, optional
             Name in the archive for each material of the room that has another name there, or that must
-            take the archive's coefficients although they differ much from its own. By default a
-            material takes those of its own name.
+            take the archive's coefficients although they differ much from its own. By default the
+            names in room and archive are the same.
 
         Raises
         ------

@@ -187,12 +187,12 @@ def fix(
 ) -> float:
     """Return the multiplier D of one problem with bounds, by fixing coefficients that violate a bound.
 
-    Each round fixes the coefficients that violate their lower bounds, or those that violate their upper
-    bounds, whichever miss more absorption area. The problem has the input ``m``, the weights ``w`` = S
-    sigma², the areas ``s`` and the bounds ``low`` and ``high``, each (n,), and the required absorption
-    area ``b``. ``slack`` is the deviation from b that counts as rounding. Coefficients are written into
-    ``a`` (n,). Two scratch arrays (n,) are overwritten: ``free`` has w of free coefficients and 0 for
-    fixed ones, ``base`` has m of free coefficients and the bound of fixed ones: a = base - D free.
+    Each round fixes all coefficients below their lower bounds, or all above their upper bounds: those
+    whose violations add up to more absorption area. The problem has the input ``m``, the weights ``w``
+    = S sigma², the areas ``s`` and the bounds ``low`` and ``high``, each (n,), and the required
+    absorption area ``b``. ``slack`` is the deviation from b that counts as rounding. The coefficients a
+    = base - D free are written into ``a`` (n,). Two arrays (n,) are overwritten: ``free`` has w,
+    or 0 for fixed coefficients, and ``base`` has m, or the bound of fixed coefficients.
     """
     n = m.size
     for i in range(n):

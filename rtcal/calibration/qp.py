@@ -150,7 +150,7 @@ class CompiledProblem:
 
     @functools.cached_property
     def signs(self) -> tuple[Array, Array]:
-        """Signs with which the effect of many rounding errors is bounded by a few solves.
+        """Signs of Hadamard matrices, with which a few solves bound the effect of many rounding errors.
 
         The first array (size, n) is for errors of the gradient, the second (n_rows, n) for errors of
         the rows. If a coefficient changes by a'e for errors e of several rows, the change is at most
@@ -340,9 +340,10 @@ class System:
 
         P dv + A'dy = force,  A dv = limit
 
-    dv is the step of the variables and dy the multipliers of the rows. ``free`` (size,) is True for
-    variables at no bound, and ``active`` (n_rows,) for rows that hold with equality; only these count
-    in the equations. A small regularisation allows dependent rows, and refinement removes its effect.
+    P and A are those of ``program``, dv is the step of the variables, and dy are the multipliers of the
+    rows. Only variables at no bound, for which ``free`` (size,) is True, and rows that hold with
+    equality, for which ``active`` (n_rows,) is True, count in the equations. A small regularisation
+    allows dependent rows, and refinement removes its effect.
     """
 
     _SHIFT = 1e-11

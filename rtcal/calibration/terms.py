@@ -506,8 +506,8 @@ class SoftMatch(Term):
     When to use it: whenever the uncertainty of T is known, and always for several configurations. With
     weight 1 and `PriorDeviation` the answer is the most probable one.
 
-    With ``room``, it is ½ r'C⁻¹r, r = b - S'alpha. C is the covariance of r over all bands from the
-    uncertainties of T and of the room's volume, areas and climate
+    With ``room=True`` the term is ½ r'C⁻¹r, r = b - S'alpha. C is the covariance of r in all bands from
+    the uncertainties of T and of the room's volume, areas and climate
     (`rtcal.acoustics.room_errors.target_changes`, docs/uncertain_room.md). An error of the volume,
     which is the same in all bands, then changes the coefficients less.
 

@@ -154,7 +154,7 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
     sources; for some pieces these are a typical lowest and highest value. The uncertainty sigma is the
     standard deviation of the values, or of a uniform distribution between the lowest and the highest.
     sigma over the area is at least the root mean square of this ratio over all pieces, which is also
-    the ratio of a piece with one value. At 8000 Hz it is that at 4000 Hz. sigma is at least 0.01 m².
+    the ratio of a piece with one value; at 8000 Hz it is that of 4000 Hz. sigma is at least 0.01 m².
 
     Parameters
     ----------

@@ -57,8 +57,7 @@ def _hall(name: str, *held_out: str) -> Hall:
 def lecture_hall() -> Hall:
     """Return a raked lecture hall of 334 m³ with 23 surfaces, like that of Bellows & Katz (2025).
 
-    The hall is 11 m deep and 8.9 m wide; this width gives the volume. The largest surface is 66.6 times
-    as large as the smallest; the width of the projection window is chosen for this ratio.
+    The hall is 11 m deep and 8.9 m wide. Its largest surface is 66.6 times as large as its smallest.
     """
     return _hall("lecture_hall", "R5", "R6", "R7")
 

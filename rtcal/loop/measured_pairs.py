@@ -489,12 +489,11 @@ class BeyondPrior:
 
 
 def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
-    """Return the measured T that the input coefficients cannot explain; None if they can.
+    """Return the T that deviates most from the input, or None if the input explains every measured T.
 
-    T is T20 or T30, or else EDT. The needed absorption follows from T, because absorption is inversely
-    proportional to T. ``model`` is a `rtcal.loop.positions.PairsModel`. ``prior`` (n_unknowns,
-    n_unknowns) is the covariance of the input coefficients, ``error`` (n, n) that of the simulator's
-    values.
+    T is T20 or T30, or else EDT. ``model`` is a `rtcal.loop.positions.PairsModel`, and ``room`` has the
+    input coefficients. ``prior`` (n_unknowns, n_unknowns) is their covariance, and ``error`` (n, n) is
+    that of the simulator's values.
     """
     data, parameters = model.data, model.data.observations.parameters
     known = [o.key for o in (*REVERBERATION, EARLY) if o.key in parameters]
@@ -815,7 +814,7 @@ def simulated_controls(
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` reference simulations; None if it has no geometry.
 
-    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have a geometry. ``match`` are the
+    `PathTracing`, `ScatteringDelayNetwork` and `ImageSource` have a geometry. ``match`` are keys of the
     parameters. Alpha is drawn at random from the input alpha and sigma of ``room``, in the same way for
     every ``seed``, which is that of the paths. ``position_uncertainty`` is the standard uncertainty of
     the positions in m. ``after`` has, for each further state of the room, the parameters and a function
@@ -1203,8 +1202,9 @@ def material_scattering(
 ) -> MaterialScattering:
     """Return how the values of a tracer depend on the scattering coefficient of each material.
 
-    Noise in the differences between pairs is reduced. Raises DataError for a tracer whose scattering
-    model is not "random".
+    ``parameters`` are the keys of the values, and ``seed`` is that of the paths. As far as derivatives
+    at single pairs are noise, they are replaced by their mean over the pairs. Raises DataError for a
+    tracer whose scattering model is not "random".
     """
     groups = tracer.scattering_jacobian(alpha, parameters, number=2, seed=seed)
     slope = groups.mean(axis=0)

@@ -251,10 +251,10 @@ class PairsModel:
         return self._slopes[key]
 
     def scattered(self, alpha: Array, tracer: PathTracing, change: Array) -> PairsModel:
-        """Return the model of a ``tracer`` with other scattering, begun at the coefficients ``alpha``.
+        """Return a model of this kind for ``tracer``, which differs from its simulator in scattering.
 
-        ``change`` (n,) is the expected change of all values, from which the necessary length of the
-        paths follows.
+        It begins at the coefficients ``alpha``. ``change`` (n,) is the expected change of all values,
+        from which the necessary length of the paths follows.
         """
         likely = self.everywhere(alpha)
         likely = likely + change.reshape(likely.shape)

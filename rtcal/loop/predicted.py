@@ -286,9 +286,9 @@ class ChangedRoom:
     """Hold a room after changes, and the materials that its walls then have.
 
     ``materials`` (n_materials,) are the materials of the room, followed by the new ones, whose rows in
-    the changed room ``after`` are ``new``. ``mixture`` (n_before, n_materials) is the share of each
-    material in the area that was of each of the room's materials. ``moves`` are the covers that leave a
-    part of a material uncovered. Both rooms have the input coefficients.
+    the changed room ``after`` are ``new``. ``mixture`` (n_before, n_materials) is the share that each
+    material has, after the changes, in the area that a material of the room had before. ``moves`` are
+    the covers that leave a part of a material uncovered. Both rooms have the input coefficients.
 
     Raises DataError for a change whose place the simulator does not know.
     """
@@ -320,7 +320,7 @@ class ChangedRoom:
                 self.moves.append((old, new, moved))
 
     def walls(self, alpha: Array) -> Array:
-        """Return the mean coefficients after the change on the area of each old material.
+        """Return the mean coefficients after the change on the area that each material had before.
 
         The shape is (n_before, n_bands). ``alpha`` has a row for each material, or only for the room's
         materials; the new materials then have their input coefficients.
@@ -391,8 +391,8 @@ class State:
     def by_places(self) -> Array:
         """Return the change of all values by the unknown place of each partial cover.
 
-        The shape is (n_places, n_values). The sum of their products is a covariance, because the places
-        of the covers are independent.
+        The shape is (n_places, n_values). The outer products of the rows add up to a covariance, as
+        the places of the covers are independent.
         """
         if not self.room.moves or complete(self.simulator).tracing is not self.simulator:
             return np.zeros((0, len(self.by_alpha)))

@@ -615,7 +615,7 @@ def design_model(
     target: Target,
     assumptions: Assumptions | None = None,
 ) -> DesignModel:
-    """Return the treatments that may be placed in a room, and what is known about the room.
+    """Return the model of a design: the treatments, and the room with its coefficients and its T.
 
     For the parameters see `design`, which raises the same DataErrors.
     """

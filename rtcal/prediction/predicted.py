@@ -158,10 +158,9 @@ class Prediction(TimeChange, Result):
 
     @property
     def before_is(self) -> str:
-        """Source of T before the change: "measured", "calibrated model" or "stated coefficients".
+        """Source of T before: "measured", "calibrated model", "calibrated room", "stated coefficients".
 
-        The fourth source is "calibrated room", if nothing was measured and the room has calibrated
-        coefficients.
+        "calibrated room" means that nothing was measured and that the coefficients are calibrated.
         """
         if not self.known.measured.any():
             return words.CALIBRATED if is_calibrated(self.before) else words.STATED

@@ -331,8 +331,7 @@ def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
     """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins), in 1/m².
 
     ``batch`` are the paths, and ``weighing`` has the logarithms of the reflection factors, the air's
-    attenuation in 1/m and the time bins as lengths in m. To avoid an exponential per reception, the air
-    attenuates up to the middle of a bin, and by a series within the bin.
+    attenuation in 1/m and the time bins as lengths in m.
     """
     n_receivers, n_bands, n_bins = out.shape
     sums = np.zeros((n_receivers, n_bins, n_bands))

@@ -574,13 +574,13 @@ class Paths:
         groups: NDArray[np.bool_],
         changed: Array,
     ) -> Array:
-        """Return the energy at receivers in 1/m² if the coefficients of a group of materials change.
+        """Return the energy at receivers in 1/m² if the coefficients of one group of materials change.
 
         The energy is (n_groups, n_changes, n_sources, n_receivers, n_bands, n_bins), the mean over the
         batches. ``groups`` (n_groups, n_materials) is True for the materials of a group. ``changed``
-        (n_changes, n_materials, n_bands) are the coefficients, below 1, that the materials of the
-        changed group then have. The computation is fast if 1 - alpha changes by the same factor in all
-        materials of a group. `Paths` describes the other arguments.
+        (n_changes, n_materials, n_bands) are the coefficients, below 1, that the materials of the group
+        have after each change; all other materials keep ``alpha``. The computation is fast if 1 - alpha
+        changes by one factor in all materials of a group. `Paths` describes the other arguments.
         """
         weights = self._weights(alpha, air_attenuation, bin_length)
         ratio = (1 - changed) / (1 - alpha)
@@ -776,10 +776,10 @@ def trace(
     """Return ``n_paths`` paths from each source, traced in independent batches.
 
     A path that leaves through a gap between faces is left out, and the other paths of its source count
-    more. Receivers are spheres of radius r. A path without a diffuse reflection has the weight 1 / (L²
-    solid angle), with the sphere's solid angle at its image source and its length L; every other path
-    has the weight 1 / (pi r²). The expected energy is then that at the receiver's centre for any
-    radius, unless an edge hides a part of the sphere. The direct sound is calculated.
+    more. Receivers are spheres of radius r. A path of length L without a diffuse reflection has the
+    weight 1 / (L² omega), where omega is the solid angle of the sphere seen from the image source;
+    every other path has the weight 1 / (pi r²). The expected energy is then that at the receiver's
+    centre for any radius, unless an edge hides a part of the sphere. Direct sound is calculated.
 
     ``sources`` and ``receivers`` (n, 3) are inside the room, in m; ``radii`` (n_receivers,) in m are at
     most the distance to the nearest wall. ``materials`` (n_faces,) is the number of each face's

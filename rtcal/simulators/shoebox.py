@@ -331,9 +331,9 @@ def lattice(
     """Return coordinates and wall hits of image sources along each axis, at least up to ``radius`` m.
 
     The coordinates (n_lattice,) in m increase. The hits (n_lattice, 2) are the numbers of reflections
-    at the near and the far wall: the image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0
-    and |n| times in the wall at L (Allen & Berkley 1979, Eq. 10). ``dimensions`` and ``source`` (3,)
-    are in m.
+    at the near and the far wall: for u = 0 or 1 and whole n, the image (-1)^u x + 2 n L was mirrored
+    |n - u| times in the wall at 0 and |n| times in the wall at L (Allen & Berkley 1979, Eq. 10).
+    ``dimensions`` and ``source`` (3,) are in m.
     """
     coordinates, hits = [], []
     for length, x in zip(dimensions, source, strict=True):

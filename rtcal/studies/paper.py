@@ -332,8 +332,7 @@ def random_hall(seed: int) -> tuple[float, ...]:
     """Return the surface areas in m² of a random hall like the paper's lecture hall.
 
     The hall is a box of 334 m³ with random proportions and 23 surfaces. Its faces are cut at random, so
-    that the largest surface is 66.6 times as large as the smallest. ``seed`` is the seed of the random
-    numbers.
+    that the largest surface is 66.6 times as large as the smallest.
     """
     rng = np.random.default_rng(checks.whole("seed", seed, 0))
     height, proportion = rng.uniform(3.0, 5.0), rng.uniform(1.0, 1.8)

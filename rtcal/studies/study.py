@@ -87,9 +87,9 @@ class ScoreMoments:
     """Hold sums over realisations, from which mean scores and their standard errors follow.
 
     ``count`` is the number of realisations. ``active`` (3,) is the number of trials of each calibration
-    in which a coefficient reaches 0 or 1. ``sums`` are the sums of each series of errors, and
-    ``products`` those of the products of each pair of series. The series by trials also have a
-    histogram of sqrt(EMSE) and its extremes.
+    in which a coefficient reaches 0 or 1. A series is the error (EMSE) of one method in each
+    realisation. ``sums`` are the sums of the series, and ``products`` those of the products of two
+    series. The series from trials also have a histogram of sqrt(EMSE) and its extremes.
     """
 
     count: int
@@ -199,8 +199,8 @@ class Study:
     def scores(self) -> Table:
         """Return the calibration score of each method with its standard error, as in the paper.
 
-        Columns are method, bounded, aace (average coefficient error), score (as a fraction) and
-        standard error. All errors are estimated from the trials.
+        Columns are method, bounded (whether alpha stays within 0 and 1), aace (average coefficient
+        error), score (as a fraction) and standard error. All errors are estimated from the trials.
         """
         rows = [self._row(m, False, {m: 1.0}, {"none": 1.0}) for m in METHODS]
         rows += [self._row(m, True, {f"{m} bounded": 1.0}, {"none": 1.0}) for m in CALIBRATIONS]
@@ -210,7 +210,7 @@ class Study:
         """Return the table that `scores` returns, with smaller random errors.
 
         Scores without bounds are computed by a formula. Scores with the bounds 0 and 1 add the
-        simulated difference, which is 0 in trials in which no coefficient reaches a bound.
+        simulated effect of the bounds, which is 0 in trials in which no coefficient reaches one.
         """
         baseline = {"none analytic": 1.0}
         rows = [self._row(m, False, {f"{m} analytic": 1.0}, baseline) for m in METHODS]

@@ -56,10 +56,10 @@ def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
     """Yield an executor of threads, ``workers`` of them or, if it is None, as many as `cores`.
 
     At the end of the block the executor waits for all tasks. If an exception ends the block, tasks that
-    have not begun are dropped, and the others end by themselves without being waited for, because
-    waiting could last for ever: Ctrl-C may strike the main thread while it holds a future's lock, and
-    Python never releases a lock taken in that moment.
+    have not begun are dropped, and the others end by themselves without being waited for.
     """
+    # Waiting could last for ever: Ctrl-C may strike the main thread while it holds a future's lock, and
+    # Python never releases a lock taken in that moment.
     pool = ThreadPoolExecutor(workers or cores())
     try:
         yield pool
