@@ -117,8 +117,7 @@ class Corrected:
         DataError
             If no surface is identified and means were not compared, or if ``make`` is given for such a
             case; if your simulator cannot represent an effect: a coupled room, a noise floor, a custom
-            effect on the decay, or an area or volume that differs from that of the simulator's
-            geometry.
+            effect on the decay, or an area or volume that its geometry does not have.
         """
         if self.model is not None:
             return self.model if make is None else self.model.spread_over(make)
@@ -170,9 +169,8 @@ class Corrected:
 
         ``room.toml`` is the room and, if a surface is identified, ``room.obj`` is its mesh. If means
         over positions were compared, ``case.json`` is the case with the effects. If every position was
-        compared, ``catt.txt`` and ``odeon.txt`` are lists of materials for CATT-Acoustic and ODEON. An
-        octave of these lists that the room does not have gets the coefficients of the room's nearest
-        band.
+        compared, ``catt.txt`` and ``odeon.txt`` are lists of materials for CATT-Acoustic and ODEON.
+        Octaves that the room does not have get the coefficients of its nearest band.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)
@@ -263,8 +261,7 @@ class CaseModel(RoomSimulator):
         Reasons why a room cannot represent an effect, by the effect's name.
     inner : Simulator, optional
         Simulator of ``stated``, over whose walls the absorption of the effects is spread. If it is
-        None, the reverberation equation gives T20, EDT, T30, C80 and G of the case's first
-        configuration.
+        None, the reverberation equation gives the values of the case's first configuration.
     """
 
     case: Case
@@ -289,8 +286,7 @@ class CaseModel(RoomSimulator):
         """Return the acoustic state of the model with coefficients ``alpha`` (n_materials, n_bands).
 
         The materials are those of ``room``: the input materials, then one for each effect that absorbs.
-        A change of the absorption of the latter is added as a free-standing absorber, so that the shape
-        of the decay does not change.
+        A change of the absorption of the latter does not change the shape of the decay.
         """
         equation = mean_equation(self.whole.equation)
 
@@ -735,21 +731,11 @@ def changed_room(
 ) -> Corrected:
     """Return the room after a change, from measurements before and after it.
 
-    The coefficients are those of a calibration to T before the change, plus the mean change. Their
-    sigma contains the uncertainty of the change.
-
-    Parameters
-    ----------
-    case : StatesCase
-        Room and both measurements.
-    area : array (n_bands,)
-        Absorption area before the change, in m².
-    change : array (3, n_bands)
-        Change of the absorption area in m²: its mean, and the lower and upper end of its 90 % interval.
-    surfaces : sequence of str
-        Names of the surfaces that changed; empty if they are not identified.
-    kinds : sequence of str
-        Names of the effects that may be the change; two or more are noted.
+    ``area`` (n_bands,) is the absorption area before the change, and ``change`` (3, n_bands) its
+    change, both in m²: the mean, and the lower and upper end of the 90 % interval. ``surfaces`` are the
+    names of the surfaces that changed; empty if they are not identified. ``kinds`` are the names of the
+    effects that may be the change. The coefficients are those of a calibration to T before the change,
+    plus the mean change. Their sigma contains the uncertainty of the change.
     """
     labels = bands.labels(case.room.centre_frequencies)
     stated = case.room.replace(calibration=None)

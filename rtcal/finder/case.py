@@ -120,11 +120,10 @@ class ConfigurationTable(FileTable):
     """Hold the table of one configuration in a case's file; see `Configuration`.
 
     ``measured`` is the name of a measurement's file, or the values as `Measurement.to_dict` returns
-    them, in the room's bands unless they have other bands. For a planned measurement, ``parameters``
-    are the names of the parameters and ``positions`` is the number of pairs. ``simulated`` has the
-    values of a simulation program, in the form of ``measured``. ``at`` has the coefficients that the
-    program used: the name of a room's file, or alpha (n_materials, n_bands); None means those of the
-    case's room.
+    them, by default in the room's bands. For a planned measurement, ``parameters`` are the names of the
+    parameters and ``positions`` is the number of pairs. ``simulated`` has the values of a simulation
+    program, in the form of ``measured``. ``at`` has the coefficients that the program used: the name of
+    a room's file, or alpha (n_materials, n_bands); None means the case's room.
     """
 
     name: str | None = None
@@ -261,8 +260,7 @@ class Configuration:
 
         File names in the ``table`` are relative to ``folder``. ``room`` is the case's room. Measured
         values that have no uncertainty get the uncertainty ``stated``. Raises DataError as
-        `Configuration` does, and for a table that has neither measured values nor a planned
-        measurement.
+        `Configuration` does, and for a table without a measurement.
         """
         where = f'configuration "{table.name}"'
         planned = table.planned or table.parameters is not None
@@ -702,8 +700,7 @@ class PositionsCase:
 
     Raises DataError if the measurement is a mean over pairs; if the other program's values
     ``simulated`` have none of the measured parameters; if the room was already calibrated to this
-    measurement; if a pair in ``exclude`` was not measured; or if a surface, parameter or number breaks
-    its rule.
+    measurement; if a pair in ``exclude`` was not measured; or if another value breaks its rule.
     """
 
     kind: ClassVar[str] = "positions"

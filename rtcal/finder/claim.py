@@ -207,20 +207,13 @@ def conclude(
 ) -> Claim:
     """Return the verdict of a search, the effect or group that is identified, and the reasons.
 
-    Parameters
-    ----------
-    detected : str or None
-        None if a difference from the model is detected; otherwise the verdict, "none" or "hint".
-    probabilities, families : mapping of str to float
-        Probabilities of effects and of groups of effects, by name, the most probable first.
-    by_family_alone : collection of str
-        Names of effects that cannot be identified, only their group (`Effect.alone`).
-    reasons : sequence of Reason
-        Doubts about the most probable effect; `LEAVES` has the verdict that is possible with each.
-    weak : Reason, optional
-        Reason why the data are too weak (`too_weak`), or why the difference may be a program's own
-        error (`of_program`). With the first, the verdict is "hint" unless an effect or a group is
-        identified. With the second, nothing is identified.
+    ``detected`` is None if a difference from the model is detected, else the verdict "none" or "hint".
+    ``probabilities`` and ``families`` are those of effects and of groups, the most probable first.
+    ``by_family_alone`` are effects that cannot be identified, only their group (`Effect.alone`).
+    ``reasons`` are doubts about the most probable effect, and `LEAVES` has the verdict that is possible
+    with each. ``weak`` is the reason why the data are too weak (`too_weak`), or why the difference may
+    be a program's own error (`of_program`). With the first, the verdict is "hint" unless an effect or a
+    group is identified. With the second, nothing is identified.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):

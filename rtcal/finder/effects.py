@@ -166,8 +166,7 @@ class Effect(ABC):
 
         ``parameters`` has n values of each parameter, by name, and ``state`` is the room without the
         effect. The result is (n,), or a number that all have in common; by default 1. For a parameter
-        that is always above 0 it is a density of the parameter's logarithm, for a discrete parameter a
-        probability.
+        above 0 it is the density of its logarithm, for a discrete parameter a probability.
         """
         return 1.0
 
@@ -249,9 +248,8 @@ class AbsorbingObject(Effect):
     """Describe missing objects whose absorption is proportional to their number, such as people.
 
     The objects can be taken out of the room again. A size of 1 has the absorption area ``each`` in m²
-    at the octaves from 63 Hz to 8 kHz, and ``of_one`` in m² as a mean from 500 to 2000 Hz. The largest
-    of the ``steps`` sizes that are tried absorbs ``most`` times as much as the room, the smallest
-    ``least`` times as much.
+    at the octaves from 63 Hz to 8 kHz, and ``of_one`` in m² as a mean from 500 to 2000 Hz. The
+    ``steps`` sizes that are tried absorb ``least`` to ``most`` times as much as the room.
     """
 
     removable: ClassVar[bool] = True
@@ -364,8 +362,7 @@ _SPEED = 343.2
 class Porous(Absorber):
     """Describe a porous layer on a rigid wall that is missing from the model (Miki 1990).
 
-    The layer is locally reacting, and sound arrives diffusely at angles up to 78°. For a curtain, which
-    hangs free, see `Curtain`.
+    The layer is locally reacting. Sound arrives diffusely at angles up to 78°. See also `Curtain`.
     """
 
     name: ClassVar[str] = "porous"
@@ -414,8 +411,8 @@ class Curtain(Absorber):
 
     The impedance of the fabric is its flow resistance r in parallel with i omega m, where m is its mass
     per area. Behind the fabric is the impedance -i cot(k d cos theta) of plane waves in an airspace of
-    depth d. If d is large, the mean over a band is that of a curtain that hangs free in the room and
-    absorbs on both sides.
+    depth d. If d is large, the mean over a band is that of a curtain that hangs free and absorbs on
+    both sides.
     """
 
     name: ClassVar[str] = "curtain"
@@ -1008,9 +1005,8 @@ class CoupledRoom(Effect):
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the combinations of aperture, volume and alpha of the second room that are tried.
 
-        The aperture is 0.05 to 1.2 times the absorption area of the first room, whose acoustic
-        ``state`` is given. The second room's volume is 0.2 to 3 times that of the first room, and its
-        alpha 0.02 to 0.3.
+        ``state`` is that of the first room. The aperture is 0.05 to 1.2 times its absorption area, the
+        second room's volume 0.2 to 3 times its volume, and the second room's alpha 0.02 to 0.3.
         """
         area = middle_absorption(state)
         return [
@@ -1223,8 +1219,7 @@ def beyond(
 
     ``grid`` are the combinations tried so far, and ``likeliest`` is the one that fits best. If its size
     is the largest or smallest in ``grid``, combinations with up to `_MORE` sizes beyond it are added,
-    within the limits of the ``room``. No size is added towards the size with which the effect changes
-    nothing.
+    within the limits of the ``room``. No size is added towards that with which nothing changes.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])

@@ -178,8 +178,7 @@ class Prior:
 def relative_sigma(room: Room) -> float:
     """Return the relative uncertainty of a room's coefficients over that of handbook values, at most 1.
 
-    It is the sum of sigma over that of alpha, over all bands and weighted by area, divided by
-    `HANDBOOK_SIGMA`.
+    It is the area-weighted sum of sigma over that of alpha, divided by `HANDBOOK_SIGMA`.
     """
     stated = float((room.areas @ room.sigma).sum() / max((room.areas @ room.alpha).sum(), 1e-12))
     return min(1.0, stated / HANDBOOK_SIGMA)
@@ -239,8 +238,8 @@ def left_out_of(
     """Return the names that are not tried, sorted, from the options ``only`` and ``without``.
 
     ``possible`` are all names. Names in ``without`` are not tried. If ``only`` has names, no others are
-    tried, except those ``in_any_case``. Raises DataError for a name that is not in ``possible``, and if
-    nothing is left to try.
+    tried, except those ``in_any_case``. Raises DataError for an unknown name, and if nothing is left to
+    try.
     """
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
@@ -367,8 +366,8 @@ class OffTogether:
 
     ``probability`` is that of such an error, given the effects that are identified. ``factor``
     (n_materials, n_bands) is the mean ratio of true to input coefficients, and ``spread`` the standard
-    deviation of the ratio's logarithm. ``ratio`` (n_bands,) is the room's true absorption area over its
-    input absorption area.
+    deviation of the ratio's logarithm. ``ratio`` (n_bands,) is the room's true over its input
+    absorption area.
     """
 
     probability: float

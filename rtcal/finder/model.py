@@ -156,8 +156,7 @@ class RoomState:
     def rate(self) -> Array:
         """Decay rate k of the energy in 1/s, (n_bands,), from which T = 6 ln 10 / k.
 
-        k = c (S a + 4 m V + A_objects) / 4 V, with the area S of all surfaces and their mean absorption
-        exponent a.
+        k = c (S a + 4 m V + A_objects) / 4 V, with the mean absorption exponent a of the surfaces S.
         """
         return np.asarray(rates([self])[0])
 
@@ -178,8 +177,7 @@ class RoomState:
 def covered(states: Sequence[RoomState], areas: Array, spectra: Array) -> list[RoomState]:
     """Return each state of a room with an area of its walls replaced by a cover.
 
-    ``areas`` (n,) are the areas in m², and ``spectra`` (n, n_bands) the alpha of the covers, one for
-    each of the n ``states``.
+    ``areas`` (n,) in m² and ``spectra`` (n, n_bands), the alpha of the covers, are one for each state.
     """
     out = list(states)
     for equation, where in _by_equation(states):
@@ -246,8 +244,7 @@ def speeds(states: Sequence[RoomState]) -> Array:
 def rates(states: Sequence[RoomState]) -> Array:
     """Return the decay rates k of the energy in 1/s in n states of one room, (n, n_bands).
 
-    k = c (S a + 4 m V + A_objects) / 4 V, with the area S of all surfaces and their mean absorption
-    exponent a.
+    k = c (S a + 4 m V + A_objects) / 4 V, with the mean absorption exponent a of the surfaces S.
     """
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume

@@ -103,19 +103,11 @@ _INTERVAL = (0.05, 0.95)
 class Hypotheses:
     """Hold the possible changes between two states of a room: none, or absorption added or removed.
 
-    Attributes
-    ----------
-    names, families : tuple of str (n,)
-        Names of the changes, such as "added porous", and of their groups.
-    log_weight : array (n,)
-        Log prior probabilities.
-    size : array (n, n_bands)
-        Change of the absorption area in m², before saturation (`Baseline.after`); above 0 where T is
-        shorter in the second state.
-    covariance : array (n, n_bands, n_bands)
-        Covariance of the error of ln |size|.
-    of_air : array (n,) of bool
-        Whether the climate differs between the states, too.
+    ``names`` and ``families`` are those of the n changes, such as "added porous", and of their groups.
+    ``log_weight`` (n,) are log prior probabilities. ``size`` (n, n_bands) is the change of the
+    absorption area in m², before saturation (`Baseline.after`); above 0 where T is shorter in the
+    second state. ``covariance`` (n, n_bands, n_bands) is that of the error of ln |size|. ``of_air``
+    (n,) is True if the climate differs, too.
     """
 
     names: tuple[str, ...]
@@ -139,8 +131,7 @@ class Hypotheses:
 
         ``before`` is the absorption area in m² of the first state, in the bands in which ``where``
         (n_bands,) is True: those with T in both states. ``effects`` are those whose spectra are tried,
-        and ``without`` the names of changes that are left out. ``more`` is the word for a shorter T,
-        "added" or "removed".
+        and ``without`` the names of changes that are left out. ``more`` is the word for a size above 0.
         """
         area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
@@ -239,8 +230,8 @@ def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UN
     """Return the covariance in m⁴ of the difference of the air's absorption 4 m V between two climates.
 
     The shape is (n_bands, n_bands). Both climates are normally distributed about the room's climate,
-    with the ``uncertainty`` in K and in % of relative humidity. If the room has no climate, each is any
-    indoor climate (`INDOORS`).
+    with the ``uncertainty`` in K and in % of relative humidity. Without a room's climate, each is any
+    indoor climate.
     """
     if room.air is None:
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
@@ -275,8 +266,8 @@ class Baseline:
 
     ``area`` (n_bands,) is the absorption area of the surfaces in m², which the ``equation`` gives for T
     before the change. ``total_area`` is the area of all surfaces in m². ``air`` (n_bands,) is the
-    absorption 4 m V of the air in m². ``climate`` (n_bands, n_bands) is the covariance of the change of
-    ln T by a change of climate.
+    absorption 4 m V of the air in m². ``climate`` (n_bands, n_bands) is the covariance of ln T by a
+    change of climate.
     """
 
     equation: LinearEquation

@@ -667,8 +667,8 @@ def of_means(
     ``gaps`` are simulated minus measured values in JND, and ``counted`` is True for those that count.
     ``uncertainty`` is their standard uncertainty in JND. ``predictive`` is the ln Bayes factor of the
     effect from the held-out data, whose names are ``held_out``. ``misses`` are the bands whose T the
-    corrected model does not reproduce. ``before`` and ``after`` are the calibrations without and with
-    the effect.
+    corrected model does not reproduce. ``before`` and ``after`` are calibrations without and with the
+    effect.
     """
     configurations = after.case.configurations
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
@@ -743,9 +743,8 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
     """Return the verification of a finding by deviations at held-out source-receiver pairs.
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
-    JND, and ``said`` the remaining fields of the `Verification`. The effect is supported only if it
-    reduces the deviations by `LEAST_SHRINKAGE` and significantly (one-sided Student's t test over the
-    pairs).
+    JND, and ``said`` the remaining fields of the `Verification`. The effect is supported if it reduces
+    them by `LEAST_SHRINKAGE` and significantly (one-sided Student's t test).
     """
     of_pairs = mean_of_known(np.abs(gaps), (2, 4))
     gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)

@@ -108,8 +108,7 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 
     They are normally distributed with the input alpha, its sigma and the room's correlation between
     bands, and limited to 0.001 to 0.99 times the largest possible. A material that a configuration
-    changes is drawn independently. Each material has random numbers of its own from ``rng``, so that
-    the order of materials has no effect.
+    changes is drawn independently. The order of materials has no effect on the numbers from ``rng``.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
@@ -265,21 +264,11 @@ def _features(energy: Array, width: float) -> Array:
 class Engine:
     """Hold a simulator of reference rooms, and how many reference rooms it simulates.
 
-    Attributes
-    ----------
-    simulator : function
-        Function of a reference room and its number, which returns a function that simulates the room.
-    stream : int
-        Number of the simulator's stream of random numbers.
-    setups : int
-        Number of reference rooms, each with coefficients drawn from the prior.
-    duration : float
-        Length of the simulated decays in reverberation times.
-    models : sequence of ScatteringModel
-        Models of scattering, used in turn; empty for a simulator without scattering.
-    estimates_bias : bool
-        Whether the mean of the errors estimates the equation's bias. If not, only their scatter is
-        used.
+    ``simulator`` is a function of a reference room and its number, which returns a function that
+    simulates the room. ``stream`` is the number of the simulator's stream of random numbers. ``setups``
+    is the number of reference rooms, each with random coefficients. ``duration`` is the length of the
+    decays in reverberation times. ``models`` are models of scattering, used in turn; empty without
+    scattering. ``estimates_bias`` is False if only the scatter of the errors is used, not their mean.
     """
 
     name: str

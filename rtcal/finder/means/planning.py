@@ -316,8 +316,7 @@ class Information:
     m features (ln T20, C80 and others) that are or could be measured, under each of n hypotheses.
     ``weights`` (n,) are the probabilities of the hypotheses, and ``groups`` (n,) the numbers of their
     sets of effects. ``measured`` (m,) is True for features that are measured already. Their ``values``
-    may be None, if the measurement is only planned. If not, ``weights`` are the probabilities given
-    these values.
+    may be None, if the measurement is only planned. If not, ``weights`` are given these values.
     """
 
     def __init__(

@@ -127,8 +127,7 @@ class PredictedFeatures:
 
         The shapes are (n, size, size) and (n, size, n_directions), where size is the number of
         configurations times the number of bands. Common errors of ln T20 are those by errors that
-        coefficients have in common, one standard deviation each. ``rows`` are the numbers of the n
-        states.
+        coefficients have in common, one standard deviation each. ``rows`` number the n states.
         """
         sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)
         factor = self.jacobian[rows] * sigma
@@ -277,8 +276,8 @@ def predict_hypotheses(
     """Return the predicted features (ln T20, C80 and others) with each effect that is tried.
 
     ``grids`` has, for each of ``effects``, the sets of parameters to try; None means those that the
-    effect proposes. Raises DataError if an effect breaks a rule, or if it has no set of parameters with
-    a finite T, C80 and G.
+    effect proposes. Raises DataError if an effect breaks a rule, or has no set with a finite T, C80 and
+    G.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
@@ -765,8 +764,7 @@ class Moments:
     """Hold the mean (n, m) and covariance (n, m, m) of m compared features under n hypotheses.
 
     Features are ln T20, C80 and others. A hypothesis is an effect with given parameters. ``common`` (n,
-    r, m) are the changes of the features by r errors that coefficients have in common, one standard
-    deviation each.
+    r, m) are the changes of the features by r errors that coefficients have in common.
     """
 
     mean: Array
@@ -781,8 +779,7 @@ class MeansProblem:
     ``observed`` and ``predicted`` are measured and predicted features (ln T20, C80 and others), and
     ``discrepancy`` is the error of the model. A hypothesis is an effect with one set of parameters.
     ``cells`` (n_hypotheses, n_used, n_parameters) is the standard deviation of each compared feature
-    over the range of parameters for which a hypothesis stands; it is empty unless several effects are
-    tried at once.
+    over the range of parameters for which a hypothesis stands; empty for single effects.
     """
 
     case: Case
@@ -935,20 +932,12 @@ def log_likelihoods(
 ) -> tuple[Array, Array]:
     """Return the log densities of data under each hypothesis, without and with a common error.
 
-    Both arrays are (n_ends, n_hypotheses, n_draws). A common error F is one that all coefficients have
-    in common. With it the density is the mean over the factors s in `SCALES`, with the covariance C +
-    (s² - 1) F F'; it is -inf if ``off`` is False.
-
-    Parameters
-    ----------
-    parts : iterable of Moments
-        Mean and covariance of n features under some of the hypotheses at a time.
-    values : array (n_draws, n)
-        Measured or drawn features.
-    ends : sequence of int
-        Rising numbers of leading features, for each of which a density is returned.
-    coarsened : bool
-        Whether densities are raised to a power below 1, as in `rtcal.finder.evidence.student`.
+    Both are (n_ends, n_hypotheses, n_draws). A common error F is one that all coefficients have in
+    common. With it the density is the mean over the factors s in `SCALES`, with the covariance C + (s²
+    - 1) F F'; it is -inf if ``off`` is False. ``parts`` are the moments of n features under some of the
+    hypotheses at a time, and ``values`` (n_draws, n) the measured or drawn features. ``ends`` are the
+    rising numbers of leading features, for each of which a density is returned. If ``coarsened`` is
+    True, densities are raised to a power below 1, as in `rtcal.finder.evidence.student`.
     """
     scales = np.array(SCALES)
     more, log_probability = (scales[:, 0] ** 2 - 1)[:, None, None], np.log(scales[:, 1])
@@ -1001,8 +990,7 @@ class MeansEvidence:
 
     ``stated`` is the log likelihood with the input coefficients, and ``off`` that with an error that
     all coefficients have in common, whose prior probability is ``prior_off``. Both are (n_hypotheses,),
-    or (n_hypotheses, n_draws) for random data. ``unknown`` is the log evidence of an unknown effect, a
-    number or (n_draws,).
+    or (n_hypotheses, n_draws) for random data. ``unknown`` is the log evidence of an unknown effect.
     """
 
     problem: MeansProblem
@@ -1335,8 +1323,8 @@ def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], fro
 class Screen:
     """Compute log likelihoods of pairs of effects from the changes that each effect causes alone.
 
-    ``base`` are the numbers of hypotheses, each an effect with given parameters, that are added to
-    every pair.
+    ``base`` are the numbers of hypotheses (effects with given parameters) that every pair contains,
+    too.
     """
 
     def __init__(self, compared: MeansProblem, base: Members = ()) -> None:
@@ -1390,9 +1378,8 @@ class Screen:
 def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool) -> Array:
     """Return the log likelihoods of sets of effects, (n_sets, 2).
 
-    A set has the numbers of its hypotheses, each an effect with given parameters. The first column is
-    with the input coefficients, the second with an error that all coefficients have in common; it is
-    -inf if ``off`` is False.
+    A set has the numbers of its hypotheses, each an effect with given parameters. The second column is
+    with an error that all coefficients have in common; -inf if ``off`` is False.
     """
     begins, possible = range(0, len(sets), _SETS_AT_ONCE), list[NDArray[np.bool_]]()
 
@@ -1412,8 +1399,7 @@ def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, N
     """Return mean and covariance of the features with all effects of each set, and which are possible.
 
     A set has the numbers of its hypotheses, each an effect with given parameters. The second result is
-    (n_sets,) of bool. A set is impossible if its features are not finite; its mean is then 0 and its
-    covariance the unit matrix.
+    (n_sets,) of bool. A set is impossible if its features are not finite.
     """
     most = max(map(len, sets))
     members = [np.array([rows[k] if k < len(rows) else 0 for rows in sets]) for k in range(most)]
@@ -1512,8 +1498,7 @@ class SetPosterior:
     ``sets`` maps each set, a tuple of names, to its probability, the most probable first; () means that
     nothing is missing. ``off`` has the probability, given the set, of an error that all coefficients
     have in common. ``rows`` has the numbers of the set's most probable hypotheses, each an effect with
-    given parameters. ``likely`` are the most probable sets of hypotheses without unknown effects, with
-    probabilities that sum to 1.
+    given parameters. ``likely`` are the most probable sets of hypotheses with their probabilities.
     """
 
     sets: Mapping[Names, float]

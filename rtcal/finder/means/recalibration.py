@@ -161,8 +161,7 @@ _TIMES = LinearObservations("ln T")
 def plain(case: Case) -> Recalibrated:
     """Return a calibration to T20 of the first configuration, with a model that has no effects.
 
-    The calibrated model has exactly this T20, or the nearest possible T20 in a band in which no alpha
-    gives it.
+    The calibrated model has this T20, or the nearest possible one where no alpha gives it.
     """
     case.require_fresh()
     case, equation = replace(case, applied=()), mean_equation(case.equation)
@@ -208,7 +207,7 @@ def recalibrate(
     Raises
     ------
     DataError
-        If the room was already calibrated to one of the case's T, or ``discrepancy`` belongs to another
+        If the room was already calibrated to one of the case's T, or ``discrepancy`` is of another
         case.
     """
     case.require_fresh()

@@ -26,8 +26,7 @@ class Place:
     """Hold a proposed position for a further receiver: a ``point`` (x, y, z) in m.
 
     ``nats`` is how much a measurement from the ``source`` to this point is expected to add to the ln
-    Bayes factor between the two most probable surfaces. The point is at the mean height of the
-    receivers.
+    Bayes factor between the two most probable surfaces.
     """
 
     point: tuple[float, float, float]

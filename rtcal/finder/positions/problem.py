@@ -565,22 +565,13 @@ Residuals = tuple[Array, Array]
 class Likelihood:
     """Compute the probability density of measured minus simulated values (n,) under each hypothesis.
 
-    Attributes
-    ----------
-    covariance : array (n, n)
-        Covariance of all errors that do not depend on the hypothesis. Values are ordered by band,
-        parameter and pair.
-    used : array (n,) of bool
-        Whether each value was measured.
-    nodes : mapping of str to array (n_bands, n_values, n_nodes)
-        Changes of a band's values by each simulated amount of an effect, between which they are
-        interpolated; by the name of the surface, part, material or other cause.
-    uneven : array (n_values, n_columns)
-        Deviations of single pairs, for a change of the absorption by 1 (`uneven_columns`).
-    amount : array (n_values,)
-        Weights that give the mean change of absorption from a band's changes (`uneven_amount`).
-    levels : ScatteringLevels
-        Changes if the room scatters more or less than assumed.
+    The values are ordered by band, parameter and pair, and ``used`` (n,) is True for those that were
+    measured. ``covariance`` (n, n) is that of all errors that do not depend on the hypothesis.
+    ``nodes`` (n_bands, n_values, n_nodes) are, by the name of a surface or other cause, the changes of
+    a band's values by each simulated amount of an effect, between which they are interpolated.
+    ``uneven`` (n_values, n_columns) are deviations of single pairs, for a change of the absorption by
+    1. ``amount`` (n_values,) are the weights that give the mean change of absorption from a band's
+    changes. ``levels`` are the changes if the room scatters more or less.
     """
 
     covariance: Array
@@ -749,23 +740,12 @@ def simulator_error(
 ) -> Array:
     """Return the covariance of the error of n values that are the mean of some tracings, (n, n).
 
-    The values are all parameters, pairs and bands. The covariance consists of the errors in reference
-    simulations, the uncertainty of scattering coefficients, and the noise of the paths.
-
-    Parameters
-    ----------
-    controls : ControlRuns
-        Errors in the reference simulations.
-    noise : array (n_groups, n_parameters, n_pairs, n_bands)
-        Deviations of groups of paths from the mean of their tracing.
-    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
-        Derivatives by the log odds of each material's scattering coefficient.
-    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
-        Deviations of these derivatives in each group of paths.
-    tracings : int
-        Number of tracings.
-    centre_frequencies : array (n_bands,)
-        Bands in Hz.
+    The values are all parameters, pairs and bands. ``controls`` has the errors in reference
+    simulations. ``noise`` (n_groups, n_parameters, n_pairs, n_bands) are deviations of groups of paths
+    from the mean of their tracing. ``scattering`` (n_parameters, n_pairs, n_bands, n_materials) are
+    derivatives by the log odds of each material's scattering coefficient, and ``scattering_noise``
+    (n_groups, ...) their deviations in the groups. ``tracings`` is the number of tracings, and
+    ``centre_frequencies`` are in Hz.
     """
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
@@ -809,8 +789,8 @@ _LEVELS = np.linspace(-2.4, 2.4, 9)
 def levels(traced: Array) -> ScatteringLevels:
     """Return how all values change if the whole room scatters more or less, as a mean over the pairs.
 
-    ``traced`` (n_bands, n_parameters, n_pairs, n_traced) has the changes at the levels of scattering
-    that were simulated, `TRACED`.
+    ``traced`` (n_bands, n_parameters, n_pairs, n_traced) has the changes that were simulated
+    (`TRACED`).
     """
     from scipy.interpolate import CubicSpline
 

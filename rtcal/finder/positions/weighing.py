@@ -93,8 +93,7 @@ _FOLLOWED = 0.9
 class Aperture:
     """Describe an aperture of ``area`` in m² to a second room.
 
-    The second room has a ``volume`` in m³, a mean absorption coefficient ``alpha``, and the surface
-    area of a cube.
+    The second room is a cube of ``volume`` in m³ with the mean absorption coefficient ``alpha``.
     """
 
     area: float
