@@ -136,11 +136,9 @@ def fit(
     ROOM must have a mesh, sources and receivers (docs/files.md). If neither ROOM nor --scattering gives
     a scattering coefficient, the fit starts at 0.1.
 
-    If no step brings the simulation nearer to MEASURED, the exit code is 7, and nothing is written
-    without --force.
+    If no step improves the fit, the exit code is 7, and nothing is written without --force.
 
-    Reference simulations take most of the time. They are kept beside ROOM, in .rtcal_cache, so that a
-    second calibration is quicker.
+    Reference simulations take most of the time. They are kept beside ROOM, in .rtcal_cache, for later.
 
     Example: rtcal fit room.toml pairs.csv --out fitted
     """

@@ -522,7 +522,7 @@ def tell(
 
     ``record`` may be a function, which is called only if the record is printed. ``then`` is printed
     below the files' names. With ``--quiet`` no text is printed. Raises CannotPrint if the output is
-    closed or full.
+    closed.
     """
     made = disk.commit()
     as_json = has("as_json")
@@ -572,8 +572,7 @@ def printing() -> Iterator[None]:
 def warn(message: object) -> None:
     """Print a message on standard error, unless standard error is closed or full.
 
-    The message is one line, so that a log keeps it together. On a terminal, and if COLUMNS is set, it
-    is wrapped.
+    It is printed as one line; on a terminal, and if COLUMNS is set, the line is wrapped.
     """
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
     parts = [printable(" ".join(part.split())) for part in f"rtcal: {message}".split("\n")]

@@ -414,8 +414,8 @@ def json_numbers(value: Any) -> Any:
     """Return a value as plain numbers, texts, lists and objects for JSON; NaN becomes None.
 
     An array with named columns becomes a list with an object per row. An object with a method
-    ``to_dict`` becomes what this method returns. Any other dataclass becomes its text if it defines
-    one, else its fields.
+    ``to_dict`` becomes what this method returns. Any other dataclass becomes its own text, or else its
+    fields.
     """
     if value is None or isinstance(value, str | bool):
         return value

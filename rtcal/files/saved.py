@@ -109,8 +109,8 @@ def load(path: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     path : path
-        Folder that ``save``, ``rtcal calibrate --out`` or another command wrote, or the ``result.json``
-        in it.
+        Folder that ``save``, ``rtcal calibrate --out`` or another command wrote, or its
+        ``result.json``.
 
     Returns
     -------

@@ -131,7 +131,8 @@ class Hypotheses:
 
         ``before`` is the absorption area in m² of the first state, in the bands in which ``where``
         (n_bands,) is True: those with T in both states. ``effects`` are those whose spectra are tried,
-        and ``without`` the names of changes that are left out. ``more`` is the word for a size above 0.
+        and ``without`` the names of changes that are left out. ``more`` is the word for a size above 0,
+        "added" or "removed".
         """
         area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())

@@ -30,8 +30,8 @@ def read(room: Room) -> Polyhedron:
     """Return the geometry of a room: its mesh, or a box with the room's dimensions.
 
     For a box the room needs one surface per wall. Raises DataError for the reasons of
-    `rtcal.io.obj.read`, for a mesh with a material that the room does not have, and for a room with
-    neither a mesh nor dimensions.
+    `rtcal.io.obj.read`, for a mesh with an unknown material, and for a room with neither a mesh nor
+    dimensions.
     """
     checks.instance("room", room, Room)
     if room.scene.mesh is not None:
@@ -53,8 +53,7 @@ def read(room: Room) -> Polyhedron:
 def directions(room: Room) -> Array:
     """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
 
-    They are known from the room's surfaces, names and dimensions, or else from the faces of its mesh,
-    if the mesh can be read.
+    They follow from the room's surfaces, names and dimensions, or else from the faces of its mesh.
     """
     stated = facing(room)
     if room.scene.mesh is None or np.isfinite(stated).all():
@@ -70,8 +69,7 @@ def mesh_doubt(room: Room) -> str:
     """Return in a sentence how a room's areas or volume differ from those of its mesh, or "".
 
     The sentence is "" if they agree, or if the room has no mesh. If the mesh cannot be read, the
-    sentence says so. Raises DataError if volume or areas differ by a factor of another unit, such as
-    feet.
+    sentence says so. Raises DataError if they differ by a factor of another unit.
     """
     if checks.instance("room", room, Room).scene.mesh is None:
         return ""

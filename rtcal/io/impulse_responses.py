@@ -121,8 +121,7 @@ def read(
     Raises
     ------
     DataError
-        For a file that cannot be read, and for several channels without ``channels``. The message names
-        the file and the rule.
+        For a file that cannot be read, and for several channels without ``channels``.
     """
     doubts = list[str]()
     responses = responses_of(path, channels, repeats, doubts)
@@ -137,8 +136,7 @@ def responses_of(
 ) -> dict[tuple[str, str], Response]:
     """Return the impulse responses in files, by source and receiver.
 
-    The parameters and errors are those of `read`. Cautions about the files are added to the list
-    ``doubts``.
+    Parameters and errors are those of `read`. Cautions about the files are added to ``doubts``.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
@@ -244,8 +242,8 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
     """Return the measurement with a standard uncertainty for each value, from theory and round robins.
 
     Each value has the uncertainty that follows from the random nature of one response
-    (`Observable.scatter`). An error that all pairs have in common has the standard deviation between
-    measuring teams (Bork 2005).
+    (`Observable.scatter`). The error that all pairs have in common is that between measuring teams
+    (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
     times = measurement.reverberation_time
@@ -474,8 +472,7 @@ def assembled(
 
     ``pairs`` are the (source, receiver) of the responses; repeats are averaged. ``found`` (n_pairs,
     n_bands) are the parameters. ``centres`` (n_bands,) are the bands in Hz. ``needed`` is the
-    impulse-to-noise ratio in dB that each parameter needs, by name. Further notes are added to
-    ``notes``.
+    impulse-to-noise ratio in dB that each parameter needs, by name. More is added to ``notes``.
     """
     fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
     values = {
@@ -611,8 +608,7 @@ class OfEnergy(NamedTuple):
 
     ``values`` are the parameters for which the level range is large enough, by name. ``ratio`` is the
     impulse-to-noise ratio in dB, -inf if the response decays by less than 10 dB. ``floor`` is the
-    reason that limits the level range. ``late`` is True if the energy arrives so late that the response
-    is no decay.
+    reason that limits the level range. ``late`` is True if the energy arrives too late for a decay.
     """
 
     values: dict[str, float]

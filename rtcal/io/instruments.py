@@ -51,9 +51,9 @@ def _is_of_rew(content: bytes) -> bool:
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     """Return the tables in the text that an instrument exported, one per measurement.
 
-    ``content`` is that of the file and ``path`` its name in messages. If a text of REW has octaves and
-    third-octaves, ``where={"BW (octaves)": "1/3"}`` selects third-octaves. Raises DataError, which
-    names the file and the line.
+    ``content`` is that of the file and ``path`` its name in messages. ``where={"BW (octaves)": "1/3"}``
+    selects the third-octaves in a text of REW that has octaves, too. Raises DataError, which names the
+    file and the line.
     """
     text = decode(content, path)
     if _AURORA in content[:200]:

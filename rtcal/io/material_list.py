@@ -299,8 +299,7 @@ class MaterialList:
     def with_spellings(self, names: Iterable[str]) -> MaterialList:
         """Return the list with aliases for ``names`` that it has with blanks in place of underscores.
 
-        Exporters of meshes write ``ceiling_plaster`` for "ceiling plaster". The reverse is recognised,
-        too.
+        Exporters of meshes write ``ceiling_plaster`` for "ceiling plaster", or the reverse.
         """
         there = {*self.names, *self.aliases}
         aliases = dict(self.aliases)
@@ -536,19 +535,11 @@ class ExportReport:
 class Format:
     """Read and write the material lists of one simulation program.
 
-    Attributes
-    ----------
-    parse : function
-        Function of a file's content, its path, and further arguments of `read`, which returns the
-        `MaterialList`.
-    new : function
-        Function of a room and of its materials' names, which returns the content of a new list. The
-        room's materials are named as in the list.
-    bands, readable : function
-        Functions that return the bands in Hz of a new list for a room (none for the room's own), and
-        the name in the list for a material's name.
-    prepared : function
-        Function that returns a list with the changes that a room needs before it is written.
+    ``parse`` is a function of a file's content, its path, and further arguments of `read`, which
+    returns the `MaterialList`. ``new`` is a function of a room and its materials' names, which returns
+    the content of a new list. ``bands`` returns the bands in Hz of a new list for a room; none for the
+    room's own. ``readable`` returns the name in the list for a material's name. ``prepared`` returns
+    the list with the changes that a room needs before it is written.
     """
 
     parse: Callable[..., MaterialList]

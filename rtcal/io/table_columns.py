@@ -203,8 +203,7 @@ class Column:
     ``kind`` is "value" for a column of values, "" for a column that is left out, and otherwise the word
     for what its cells name, such as "band". For a column of values, ``parameter``, ``source``,
     ``receiver``, ``unit`` and ``band`` in Hz are those in the header; "" or NaN if it has none, and
-    `OPEN` if it does not say which decay time it has. ``wrong`` is an error of the header, such as an
-    unknown unit; "" without one.
+    `OPEN` if it does not say which decay time it has. ``wrong`` is an error of the header, or "".
     """
 
     kind: str

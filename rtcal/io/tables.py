@@ -249,8 +249,7 @@ def parse(
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
     """Return the measurement in rtcal's CSV file, a workbook, or a text of REW.
 
-    Raises DataError for any other text: read such a text with ``rtcal table`` first, and check how its
-    columns are read.
+    Raises DataError for any other text, whose columns you must first check with ``rtcal table``.
     """
     content = read_bytes(path, MAX_BYTES)
     if any(module.recognises(content) for module in FORMATS):
@@ -276,8 +275,7 @@ def sheets_of(
     """Return the tables in a file: those of an instrument or a workbook, or else of a plain text.
 
     ``content`` is that of the file, and ``path`` its name in messages. ``where`` selects octaves or
-    third-octaves in a text of REW; None reads both. ``extra`` are headers of columns that may be
-    unknown.
+    third-octaves in a text of REW; None reads both. ``extra`` are headers that may be unknown.
     """
     for module in FORMATS:
         if module.recognises(content):

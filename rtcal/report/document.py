@@ -53,8 +53,7 @@ class Heading:
     author : str
         Author of the page; by default the room's author, if it has one.
     date : str
-        Date as it is to be printed. By default there is none, so that a result always gives the same
-        file.
+        Date as it is to be printed. By default there is none.
 
     Raises
     ------
@@ -120,8 +119,7 @@ class Picture:
     """Hold a figure and its caption; ``draw`` is a function that returns the figure.
 
     ``alt`` is the text for readers who cannot see the figure, by default the caption. If ``tall`` is
-    True, the figure may be higher than usual. A figure with a ``name`` is also written as a separate
-    file.
+    True, the figure may be higher than usual. A figure with a ``name`` is also written as a file.
     """
 
     draw: Callable[[], Any]
@@ -151,8 +149,7 @@ class SideBySide:
 class Page:
     """Hold a page: its subject, its author, its name and its blocks.
 
-    Blocks are those of `rtcal.support.blocks`, the classes of this module, and the room of
-    `rtcal.report.room_view`.
+    Blocks are those of `rtcal.support.blocks`, of this module and of `rtcal.report.room_view`.
     """
 
     name: str

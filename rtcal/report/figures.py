@@ -254,8 +254,7 @@ def coefficients(result: CalibrationResult) -> Any:
     """Return the figure of input and calibrated alpha by material and band, with 90 % intervals.
 
     If there are more than twelve materials, those with the largest absorption area are drawn. The
-    interval of the input is alpha ± 1.645 sigma, limited to 0 to 1; that of the calibrated alpha is
-    `CalibrationResult.interval`.
+    interval of the input is alpha ± 1.645 sigma, limited to 0 to 1.
     """
     room, (low, high) = result.prior, result.interval
     f = room.centre_frequencies
@@ -613,8 +612,8 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
 def bars(verification: Verification, axes: Any = None) -> Any:
     """Return the figure of mean deviations at held-out data: input, calibrated and corrected model.
 
-    Whiskers show the range over the seeds of the simulator. ``axes`` are those to draw on; None means a
-    new figure.
+    Whiskers show the range over the seeds of the simulator. ``axes`` are those to draw on; None for new
+    ones.
     """
     if axes is None:
         _, axes = new_figure(5.2, 3.8)

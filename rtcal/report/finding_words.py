@@ -426,8 +426,7 @@ def likeliness(c: Candidate) -> str:
 def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
     """Return candidates with their probabilities in words.
 
-    ``some`` are names and probabilities, the most probable first. ``lead`` are the words before the
-    first.
+    ``some`` are names and probabilities, the most probable first. ``lead`` begins the text.
 
     >>> choice([("furniture", 0.45), ("opening", 0.39), ("air", 0.06)])
     'most likely furniture (45 %), but opening (39 %) fits nearly as well; less likely air (6 %)'
@@ -1203,8 +1202,7 @@ _OPEN = 0.01
 def of_plan(p: Plan, *, every: bool = False) -> list[Block]:
     """Return a plan as blocks: what to measure next, and which effects the data distinguish.
 
-    Effects that the data do not distinguish from another one are counted; if ``every`` is True, they
-    are also named.
+    If ``every`` is True, effects that the data do not distinguish are named, else they are counted.
     """
     seen, named_ = list[Row](), list[Block]()
     for name, change in p.reached.items():

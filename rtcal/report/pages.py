@@ -114,8 +114,7 @@ def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str])
 def sheets(made: Page) -> dict[str, list[list[Any]]]:
     """Return the tables of a page as sheets of a workbook, by name; the first sheet has the sentences.
 
-    Each number has its own cell. If a table of the page has several numbers in one cell, each gets a
-    row.
+    Each number has its own cell: if a cell of the page has several numbers, each gets a row.
     """
     summary: list[list[Any]] = [["text"]]
     made_of: dict[str, list[list[Any]]] = {"summary": summary}

@@ -138,8 +138,7 @@ class RoomSection:
     ``parts`` has the numbers of the faces of each material or surface, and ``areas`` (n_parts,) are in
     m². ``part`` is the word for a part in the head of a table. The first of ``quantities`` is shown at
     first. ``stands`` are sources and receivers with their deviations, and ``whens`` the names of the
-    models to which these belong, such as "input". ``level`` is that of the heading; None for no
-    heading.
+    models to which these belong, such as "input". ``level`` is that of the heading; None for none.
     """
 
     geometry: Polyhedron
@@ -323,8 +322,7 @@ def stands(
     """Return sources and receivers with the root mean square deviation of their pairs in JND.
 
     ``sources`` and ``receivers`` are positions in m, by name. ``pairs`` are the (source, receiver) of
-    each pair. ``gaps`` are the deviations of each model, (n_parameters, n_pairs, n_bands), NaN where
-    nothing is known.
+    each pair. ``gaps`` are the deviations of each model in JND, (n_parameters, n_pairs, n_bands).
     """
     made = []
     for kind, points, end in (("source", sources, 0), ("receiver", receivers, 1)):
@@ -380,8 +378,8 @@ def of_finding(
 ) -> list[Any]:
     """Return the view of the room for the page of a finding at positions.
 
-    Deviations are shown if there is a ``verification``. ``place`` is a position for a further receiver;
-    None for none.
+    Deviations are those of the ``verification``. ``place`` is a proposed position for a receiver, or
+    None.
     """
     case, room = finding.case, finding.case.room
     rows = [
