@@ -88,8 +88,9 @@ def test_exchanged_arguments_are_named(call: Callable[..., object]) -> None:
 def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
     room = rt.Room(**GOOD, air=rt.Air())
     message = (
-        r"T\[1000 Hz\] = 90 s is beyond reach: the absorption area of the surfaces must be -0.251 m², "
-        r"and the bounds allow 0 to 100 m², 0.251 m² too little; T from .* to 37.48 s is possible"
+        r"T\[1000 Hz\] = 90 s cannot be reached: coefficients within their bounds give T from .* to "
+        r"37.48 s. "
+        r"90 s would need an absorption area of the surfaces of -0.251 m²; the bounds allow 0 to 100 m²"
     )
     with pytest.raises(InfeasibleError, match=message):
         rt.calibrate(room, [0.5, 90.0])
@@ -160,13 +161,17 @@ def run(tmp_path: Path, monkeypatch, capsys) -> Callable[..., Done]:
 
 
 BAD_FILES = [  # tests/test_native_files.py has what breaks a rule in a file
-    (None, TIMES, "room.toml: No such file or directory"),
-    (ROOM, None, "t.csv: No such file or directory"),
-    (ROOM.replace("volume = 100\n", ""), TIMES, "room.toml: the file lacks volume"),
+    (None, TIMES, "room.toml: no such file or folder"),
+    (ROOM, None, "t.csv: no such file or folder"),
+    (
+        ROOM.replace("volume = 100\n", ""),
+        TIMES,
+        'room.toml: the file lacks the key "volume"; add it',
+    ),
     (ROOM, TIMES.replace("0.9", "abc"), 't.csv, line 2: value = "abc" must be a number'),
     (ROOM, TIMES.replace("500", "63").replace("1000", "125"), "have no band in common"),
     (ROOM, TIMES.replace("T20", "EDT"), "EDT but no T20 or T30 in any band of the room"),
-    (ROOM, TIMES.replace("0.8", "90"), "T[1000 Hz] = 90 s is beyond reach"),
+    (ROOM, TIMES.replace("0.8", "90"), "T[1000 Hz] = 90 s cannot be reached"),
 ]
 
 
@@ -253,12 +258,12 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
             }  # a room: its table is missing
             if needed and other != word and not {(words[0], other), (taken, other)} & taken_as_well:
                 told = said([*names[:i], name, *names[i + 1 :]])
-                assert f"{name} is {kind}, and {needed[1]} is needed: " in told, (names, name)
+                assert f"{name} is {kind}, but {needed[1]} is needed here" in told, (names, name)
     stands = [i for i, word in enumerate(words) if word in FILES]
     for i, k in itertools.combinations(stands, 2):
         exchanged = [*names]
         exchanged[i], exchanged[k] = names[k], names[i]
-        advice = said(exchanged).partition("Exchange them: rtcal ")[2].strip()
+        advice = said(exchanged).partition("Exchange the two files: rtcal ")[2].strip()
         assert advice == " ".join(names)
 
 
@@ -275,8 +280,8 @@ def test_terms_that_set_contradicting_bounds_are_named() -> None:
     problem = rt.Calibration(rt.terms.PriorDeviation(), [loose, tight]).build(floor)
     with pytest.raises(DataError) as error:
         problem.solve([0.5, 0.5])
-    rule, _, names = str(error.value).partition("; they come from ")
-    assert rule.endswith("bounds 0.05 to 0.04: the bounds contradict each other")
+    rule, _, names = str(error.value).partition(". The bounds come from ")
+    assert rule.endswith("bounds 0.05 to 0.04: the lower bound is above the upper one")
     assert names == f"the room's alpha_min and {tight!r}"
 
 

@@ -363,5 +363,5 @@ def test_state_files_that_do_not_fit(cr2, tmp_path):
         path.write_text(content)
         with pytest.raises(DataError, match=place):
             closed_loop.Loop.load(str(path), room)
-    with pytest.raises(DataError, match="No such file"):
+    with pytest.raises(DataError, match="no such file"):
         closed_loop.Loop.load(str(tmp_path / "none.json"), room)

@@ -84,7 +84,7 @@ def test_too_short_is_said(length: float, short: bool) -> None:
     assert bool(observable("t20").too_short(energy)) is short
     assert bool(np.isnan(observable("t20").value(energy, 1e-4))) is short
     if short:
-        with pytest.raises(TooShortError, match=r"S to R, 1000 Hz is too short to hold T20"):
+        with pytest.raises(TooShortError, match=r"S to R, 1000 Hz is too short for T20"):
             rt.Measurement.from_decays(
                 energy[np.newaxis, np.newaxis], 1e-4, np.array([1000.0]), [("S", "R")]
             )
@@ -108,7 +108,7 @@ def test_one_short_pair_is_not_averaged_away() -> None:
 def test_nothing_reflected_is_no_decay() -> None:
     energy = np.zeros((1, 1, 100))
     energy[..., 0] = 1
-    with pytest.raises(DataError, match="too little is reflected"):
+    with pytest.raises(DataError, match="too little sound is reflected"):
         rt.Measurement.from_decays(energy, 1e-3, np.array([500.0]), [("S", "R")])
 
 

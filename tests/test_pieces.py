@@ -142,7 +142,7 @@ def test_files_go_round(tmp_path: Path) -> None:
         ({"area_per_piece": [0.5]}, "1 value"),
         ({"name": "floor"}, 'material and object has "floor" twice'),
         ({"sigma": -0.1}, "the absorption area of one piece"),
-        ({"number_sigma": 30}, "is it in percent"),
+        ({"number_sigma": 30}, "If it is in percent"),
     ],
 )
 def test_bad_pieces_are_refused(change: dict[str, object], words: str) -> None:
@@ -171,14 +171,17 @@ def test_nobody_is_a_room_without_them() -> None:
         (Change(remove="persons", area=10), '"persons" of the room has a number of pieces'),
         (Change(remove="floor", number=10), '"floor" of the room has an area'),
         (Change(remove="persons", number=31), 'number = 31 is more than the 30 of "persons"'),
-        (Change(cover="persons", by="floor"), "is not a surface; it can only be added or removed"),
+        (
+            Change(cover="persons", by="floor"),
+            "has a number of pieces and no surface; pieces can only be added or removed",
+        ),
         (Change(open="persons"), "is not a surface"),
     ],
 )
 def test_changes_that_pieces_do_not_allow(change: Change, words: str) -> None:
     with pytest.raises(DataError, match=words):
         change.apply(room(PERSONS))
-    with pytest.raises(DataError, match="add needs an area, or for pieces a number"):
+    with pytest.raises(DataError, match="add needs an area in m², or a number if pieces"):
         Change(add="persons")
 
 

@@ -60,7 +60,7 @@ def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
     with pytest.raises(DataError, match="paths per source are too few"):
         rt.calibrate_positions(few, ROOM, measured, match=("t20", "edt"), more_paths=1)
     black = np.full(ROOM.alpha.shape, 0.999)
-    with pytest.raises(DataError, match="too little is reflected"):
+    with pytest.raises(DataError, match="too little sound is reflected"):
         few.observe(black, ("t20",))
 
 

@@ -602,7 +602,7 @@ def test_a_band_without_a_run_is_the_equations() -> None:
     assert "At 250 Hz the equation predicts, because a run has no T there." in said
     assert "The change is the program's: at 1000 Hz from" in said
     t30 = rt.Measurement.from_values(BANDS, t30=before)
-    with pytest.raises(DataError, match="T20 is compared with T20 alone"):
+    with pytest.raises(DataError, match="Only the same parameter in the same band"):
         result.predict(change, run=run, run_after=t30)
     with pytest.raises(DataError, match="run_after is missing"):
         result.predict(change, run=run)

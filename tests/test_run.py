@@ -62,7 +62,7 @@ def test_bands_are_converted_and_t20_is_not_t30() -> None:
         rt.Measurement.from_values(F, t30=[1, 1]),
         rt.Measurement.from_values(F[1:], t20=[1]),
     ):
-        with pytest.raises(DataError, match="no value in common: the run has T20"):
+        with pytest.raises(DataError, match="no value in common: the simulation has T20"):
             run.beside(other)
     with pytest.raises(DataError, match=r"simulated: .* no band in common"):
         rt.Run(box(), rt.Measurement.from_values([8000], t20=[1]))
@@ -148,7 +148,7 @@ def test_a_loop_matches_t30_beside_t30_where_t20_is_not_in_both() -> None:
         after = loop.record(loop.next_alpha, rt.Measurement.from_values(F, **{key: times}, **more))
         np.testing.assert_allclose(after.gap, 0, atol=1.0)
     other = rt.Run(room, rt.Measurement.from_values(F, t20=given))
-    with pytest.raises(DataError, match="T20 is compared with T20 alone"):
+    with pytest.raises(DataError, match="Only the same parameter in the same band"):
         rt.loop.start(room, rt.Measurement.from_values(F, t30=wanted), run=other)
     with pytest.raises(DataError, match="no EDT in common"):
         rt.loop.start(

@@ -153,7 +153,7 @@ OTHER_FILES = [
     (
         "a.csv",
         "f,T20\n500,1\n",
-        "is a table of values, .* make one first, such as `rtcal calibrate",
+        "is a table of values, .* Make one first, such as `rtcal calibrate",
     ),
     ("a.toml", "volume = 1", "is a room, and a saved result is needed"),
 ]

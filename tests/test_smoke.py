@@ -100,7 +100,7 @@ of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
         long(2, "", ["nonsense"], "rtcal: No such command"),
         long(2, "", ["loop"], "Usage: rtcal loop"),
         long(2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
-        long(2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
+        long(2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: no such file"),
         (
             3,
             fails_with("SolverError('no values')"),

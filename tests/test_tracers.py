@@ -86,7 +86,7 @@ def test_a_longer_decay_gets_longer_paths():
 def test_a_decay_without_end_is_too_short(monkeypatch):
     monkeypatch.setattr("rtcal.simulators.path_tracing.LONGEST", 0.5)
     room = HALL.room.replace(air=None)
-    with pytest.raises(TooShortError, match="too short to hold T20"):
+    with pytest.raises(TooShortError, match="too short for T20"):
         path_tracer(room=room).simulate(np.zeros_like(room.alpha), seed=1)
 
 

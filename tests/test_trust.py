@@ -85,7 +85,7 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
 
 def test_missing_air_warns(cr2) -> None:
     room, measured = cr2
-    with pytest.warns(rt.errors.MissingAirWarning, match="states no air"):
+    with pytest.warns(rt.errors.MissingAirWarning, match="has no air"):
         result = rt.calibrate(room.with_air(None), measured)
     assert "the room has no air" in str(result)
     with warnings.catch_warnings():
@@ -96,7 +96,7 @@ def test_missing_air_warns(cr2) -> None:
 def test_a_loop_warns_of_missing_air_once(cr2) -> None:
     """`rt.loop.start` said nothing; its command did, by the calibration after it."""
     room, measured = cr2
-    with pytest.warns(rt.errors.MissingAirWarning, match="states no air"):
+    with pytest.warns(rt.errors.MissingAirWarning, match="has no air"):
         loop = rt.loop.start(room.with_air(None), measured)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

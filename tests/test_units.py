@@ -37,20 +37,26 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(centre_frequencies=[0.5, 1]), "0.5, 1 looks like kHz"),
     (lambda: room(centre_frequencies=[120, 250]), r"120 Hz, which is not .* nearest is 125 Hz"),
     (lambda: rt.Air(20, 0.417), r"humidity = 0.417 % looks like a fraction; write humidity = 41.7"),
-    (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* is it in percent'),
+    (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* If it is in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 must be in \[0, 1\]"),
-    (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1: is it in percent"),
+    (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1. If it is in percent"),
     (
         lambda: rt.calibrate(room(), measured(t20=[900, 800])),
-        r"T20\[500 Hz\] = 900 s must be from 0.01 to 120 s: is it in seconds\?",
+        r"T20\[500 Hz\] = 900 s must be from 0.01 to 120 s; check that the value is in seconds",
     ),
     (
         lambda: rt.compare(measured(t30=[90, 60]), measured(t30=[80, 190])),
         r"T30\[1000 Hz\] = 190 s must be from 0.01 to 120 s",
     ),
-    (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 must be from 0 to 10 s: is it in ms"),
-    (lambda: measured(d50=[50, 60]), "= 50 must be from 0 to 1: is it in percent"),
-    (lambda: measured(c80=[500, 1]), "= 500 must be from -200 to 200 dB: is it in dB"),
+    (
+        lambda: measured(ts=[80, 70]),
+        r"ts, 500 Hz\] = 80 must be from 0 to 10 s; check that the value is in s, not in ms",
+    ),
+    (lambda: measured(d50=[50, 60]), "= 50 must be from 0 to 1; D50 is a fraction"),
+    (
+        lambda: measured(c80=[500, 1]),
+        "= 500 must be from -200 to 200 dB; check that the value is in dB",
+    ),
     (
         lambda: room(alpha=[[10, 20], [30, 20]], above_one="clip"),
         r'alpha\["a", 500 Hz\] = 10 looks like percent',

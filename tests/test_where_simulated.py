@@ -123,9 +123,12 @@ def test_what_a_run_lacks_is_left_out_and_named() -> None:
 
 
 def test_a_run_with_nothing_that_was_measured_is_refused() -> None:
-    with pytest.raises(DataError, match=r"no value in common: the run has T30 .* has T20"):
+    with pytest.raises(DataError, match=r"no value in common: the simulation has T30 .* has T20"):
         beside(given("t30"), given("t20"))
     first, last = given("t20").select([("S1", "R1")]), given("t20").select([("S2", "R3")])
-    with pytest.raises(DataError, match=r"no pair in common: the run has S1 to R1, .* S2 to R3"):
+    with pytest.raises(
+        DataError,
+        match=r"no source-receiver pair in common: the simulation has S1 to R1, .* S2 to R3",
+    ):
         beside(first, last)
     assert beside(given("t30"), given("t20", "t30")).match[0] == "t30"

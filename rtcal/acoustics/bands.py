@@ -199,13 +199,14 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
             )
     if f.max() < _LOWEST:
         raise DataError(
-            f"{place} = {', '.join(f'{v:g}' for v in stated[:8])} looks like kHz; give centre "
-            f"frequencies in Hz, at least one of them {_LOWEST:g} Hz or more"
+            f"{place} = {', '.join(f'{v:g}' for v in stated[:8])} is probably in kHz. Give "
+            f"centre frequencies in Hz; at least one must be {_LOWEST:g} Hz or more"
         )
     low, high = f[f < _LEAST], f[f >= _LEAST]
     if low.size and high.size and 1000 * low.min() > high.max() and high.min() > 4 * low.max():
         raise DataError(
-            f"{place} has {hertz(low)} beside {hertz(high)}: give all bands in Hz, and none in kHz"
+            f"{place} has {hertz(low)} and also {hertz(high)}, so some are probably in "
+            "kHz. Give all centre frequencies in Hz"
         )
     for i, (below, above) in enumerate(itertools.pairwise(f)):
         if above <= below:

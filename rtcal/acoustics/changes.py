@@ -332,7 +332,10 @@ class Change:
         if lacking := [key for key, needed in takes.items() if needed and key not in stated]:
             raise DataError(f"{self.kind} needs {lacking[0]}, which is missing")
         if self.add is not None and self.area is None and self.number is None:
-            raise DataError("add needs an area, or for pieces a number")
+            raise DataError(
+                "add needs an area in m², or a number if pieces ([[object]]) are added; "
+                "both are missing"
+            )
         if self.area is not None and self.number is not None:
             raise DataError(f"{self.kind} has both area and number; give only one of them")
         for key, value in stated.items():
@@ -381,11 +384,16 @@ class Change:
             if name not in room.materials:
                 continue
             if (name in room.pieces) != (stated == "number") and taken:
-                of = "a number of pieces" if name in room.pieces else "an area in m²"
-                raise DataError(f'{stated} = {taken:g}: "{name}" of the room has {of}')
+                of, key = "an area in m²", "area"
+                if name in room.pieces:
+                    of, key = "a number of pieces", "number"
+                raise DataError(
+                    f'{stated} = {taken:g} is given, but "{name}" has {of}: give {key} instead'
+                )
             if name in room.pieces and self.kind not in ("add", "remove"):
                 raise DataError(
-                    f'{self.kind}: "{name}" is not a surface; it can only be added or removed'
+                    f'{self.kind}: "{name}" has a number of pieces and no surface; pieces '
+                    "can only be added or removed"
                 )
         if self.surface is not None:
             row = room.material_index(self.surface)
@@ -435,7 +443,7 @@ class Change:
             rows[comes.name] = replace(both[0], area=sum(areas), area_sigma=sigma)
         left = [row for row in rows.values() if row.area]
         if not left:
-            raise DataError("the room would have no surface")
+            raise DataError("the change leaves the room without any surface; reduce its area")
         pieces = {*room.pieces, *([name_of(self.add)] if self.number and self.add else [])}
         return room.with_rows(left, pieces=[row.name for row in left if row.name in pieces])
 
@@ -505,8 +513,9 @@ def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
             own = float(room.areas[room.material_index(name)])
         if own and (below or (closed and name not in added)):
             raise DataError(
-                f'{change}: {own:.4g} m² of "{name}" is a surface of the room, under which nothing is '
-                f'stated: state cover = "{name}" and by'
+                f'{change}: {own:.4g} m² of "{name}" is a surface of the room, and the '
+                f'material under it is unknown. Give that material: cover = "{name}", by '
+                '= "MATERIAL"'
             )
         if not below:
             out.append(change)

@@ -314,8 +314,9 @@ def compare(
         times = equation.reverberation_time(checks.instance("room", room, Room))
         if not np.isfinite(times).any():
             raise DataError(
-                f"{equation.name}'s T is infinite in every band, because every coefficient is 0 "
-                "and there is no air: give coefficients above 0"
+                f"{equation.name}'s equation gives an infinite T in every band, because "
+                "all coefficients are 0 and the room has no air: give coefficients above "
+                "0"
             )
         each = {o.key: np.where(np.isfinite(times), times, np.nan) for o in REVERBERATION}
         run = Run(room, Measurement.from_values(room.centre_frequencies, **each))

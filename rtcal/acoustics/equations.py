@@ -279,11 +279,12 @@ class LinearEquation(MeanEquation):
         for i in range(room.n_bands):
             if np.isnan(t[i]) or 0 <= b[i] <= top * (1 + 1e-15):
                 continue
-            why = "longer than the air alone allows" if t[i] > longest[i] else "too short"
+            why = "too long" if t[i] > longest[i] else "too short"
             raise InfeasibleError(
-                f"T[{bands.label(room.centre_frequencies[i])}] = {t[i]:.4g} s is {why} in "
-                f"{self.name}'s equation, which can give T from {shortest[i]:.4g} to "
-                f"{longest[i]:.4g} s within the bounds"
+                f"T[{bands.label(room.centre_frequencies[i])}] = {t[i]:.4g} s is {why}: in "
+                f"this room {self.name}'s equation gives T from {shortest[i]:.4g} s, with "
+                f"the largest absorption, to {longest[i]:.4g} s, with that of the air "
+                "alone"
             )
         return b
 
@@ -471,8 +472,9 @@ class Kuttruff(LinearEquation):
         beyond = np.atleast_1d(mean) > self.largest_mean * (1 + 1e-12)
         if beyond.any():
             error = ModelError(
-                f"a mean absorption coefficient of {np.max(mean):.3f} is beyond "
-                f"{self.largest_mean:.3f}, up to which Kuttruff's equation holds"
+                "Kuttruff's equation holds for a mean absorption coefficient up to "
+                f"{self.largest_mean:.3f}, but this room has {np.max(mean):.3f}; use "
+                "another equation"
             )
             raise of_bands(error, np.flatnonzero(beyond.reshape(-1, beyond.shape[-1]).any(axis=0)))
         eyring = -np.log1p(-np.asarray(mean, dtype=float))

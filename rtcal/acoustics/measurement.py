@@ -314,8 +314,8 @@ class Measurement:
             for parameter in getattr(self, name):
                 if parameter not in self.values:
                     raise DataError(
-                        f"measurement {name}[{parameter}] has no values[{parameter}] that it "
-                        "could belong to"
+                        f"measurement {name}[{parameter}] is given without values[{parameter}]; "
+                        "add the values"
                     )
 
     def _checked(self, name: str, parameter: str, value: Any) -> Array:
@@ -376,8 +376,8 @@ class Measurement:
                     raise DataError(
                         f"measurement {name}[{parameter}, "
                         f"{bands.label(self.centre_frequencies[band])}] = "
-                        f"{stated[row, band]:g}{f' {kind.unit}'.rstrip()} is larger than the "
-                        "value itself or than its whole range: check whether it is in percent"
+                        f"{stated[row, band]:g}{f' {kind.unit}'.rstrip()} is too large for "
+                        f"an uncertainty of {kind.label}. Check that it is not in percent"
                     )
 
     @property
@@ -439,12 +439,13 @@ class Measurement:
             if short[pair, band]:
                 down = max(0.0, -float(cut_off_db(energy)[pair, band]))
                 raise TooShortError(
-                    f"the decay from {where} is too short to hold {TARGET.label}: "
-                    f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, but "
-                    f"{MARGIN_DB - TARGET.lower:.0f} dB are needed: simulate a longer decay"
+                    f"the decay from {where} is too short for {TARGET.label}: in "
+                    f"{energy.shape[-1] * bin_width:.3g} s it falls by {down:.0f} dB, but "
+                    f"{TARGET.label} needs {MARGIN_DB - TARGET.lower:.0f} dB. Simulate a "
+                    "longer decay"
                 )
             error = DataError(
-                f"the decay from {where} has no {TARGET.label}: too little is reflected"
+                f"the decay from {where} has no {TARGET.label}: too little sound is reflected"
             )
             raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
         return cls(
@@ -670,7 +671,7 @@ class Measurement:
                 rows = _rows_of(read_text(path, MAX_BYTES))
             except DataError as error:
                 raise DataError(
-                    f"{error}; `rtcal table {path}` reads tables in other layouts"
+                    f"{error}. If the table has another layout, read it with `rtcal table {path}`"
                 ) from error
         try:
             return cls(**of_single_values(rows))
@@ -749,7 +750,9 @@ def _rows_of(text: str) -> dict[Place, dict[str, float]]:
                 header = _header([cell.lower() for cell in cells], line)
                 continue
             if len(cells) != len(header):
-                raise DataError(f"{len(cells)} cells; the header has {len(header)}")
+                raise DataError(
+                    f"this row has {len(cells)} cells, but the header has {len(header)}"
+                )
             key, numbers = _row(dict(zip(header, cells, strict=True)))
             if key in rows:
                 cure = f"repeats at one place are {key[1]} and {key[1]}#2"
@@ -844,7 +847,9 @@ def of_single_values(
     for name in ("sources", "receivers"):
         stated = {n for table in tables[name].values() for n in table[np.isfinite(table)].tolist()}
         if len(stated) > 1:
-            raise DataError(f"column {name} has several values; it must be the same in all rows")
+            raise DataError(
+                f"column {name} has different values; it must have the same value in all rows"
+            )
         for count in stated:
             if count != int(count) or count < 1:
                 raise DataError(f"column {name} = {count:g} must be a whole number above 0")
@@ -856,8 +861,8 @@ def of_single_values(
             if (differing := np.fmin.reduce(table) < of_bands[name][p]).any():
                 label = bands.label(list(frequencies)[int(np.argmax(differing))])
                 raise DataError(
-                    f"{name} of {parameter_label(p)} at {label} has several values; all pairs "
-                    "must have the same in a band"
+                    f"{name} of {parameter_label(p)} at {label} has different values; in a "
+                    "band it must have the same value for all pairs"
                 )
     return {
         "centre_frequencies": np.array(list(frequencies)),

@@ -208,10 +208,10 @@ class Observable(ABC):
         Examples
         --------
         >>> observable("d50").rule
-        'from 0 to 1: is it in percent? D50 is a fraction'
+        'from 0 to 1; D50 is a fraction, not a percentage'
         """
         unit = f" {self.unit}".rstrip()
-        return f"from {self.limits[0]:g} to {self.limits[1]:g}{unit}: {self.doubt}"
+        return f"from {self.limits[0]:g} to {self.limits[1]:g}{unit}; {self.doubt}"
 
     def broken(self, values: Array) -> NDArray[np.bool_]:
         """Return True for values that a `Measurement` does not accept, allowing for rounding."""
@@ -407,7 +407,7 @@ class DecaySlope(Relative):
     simulated = 1e-300, np.inf  # a decay of any length
     # An anechoic room for speech and a mausoleum.
     usual = 0.05, 30.0
-    doubt = "is it in seconds?"
+    doubt = "check that the value is in seconds"
     part: ClassVar[Part] = "late"
     teams = TEAMS
     averaging = Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
@@ -589,7 +589,7 @@ class Clarity(Observable):
     jnd = 1.0
     # C80 of T = 0.03 s is 160 dB.
     limits = -200.0, 200.0
-    doubt = "is it in dB?"
+    doubt = "check that the value is in dB"
     # C80 of T = 0.1 s is 48 dB; of 1 m from a source in a long T it is some 20 dB.
     usual = -40.0, 45.0
     rises = True
@@ -680,7 +680,7 @@ class D50(Observable):
     decimals = 2
     jnd = 0.05
     limits = 0.0, 1.0
-    doubt = "is it in percent? D50 is a fraction"
+    doubt = "D50 is a fraction, not a percentage"
     reaches = C50.limit
     rises = True
     teams = tuple(_HALF * x for x in C50.teams)
@@ -737,7 +737,7 @@ class STI(Observable):
     decimals = 2
     jnd = 0.03  # Bradley, Reich and Norcross 1999
     limits = 0.0, 1.0
-    doubt = "is it in percent? STI is a fraction"
+    doubt = "STI is a fraction, not a percentage"
     rises = True
     teams = tuple(_BY_LN_T * x for x in EDT.teams)
     unknown_error = jnd / 2
@@ -840,7 +840,7 @@ class Level(Observable):
     decimals = 1
     jnd = 1.0
     limits = -200.0, 200.0
-    doubt = "is it in dB?"
+    doubt = "check that the value is in dB"
     minimum_range = None
     part = "level"
     # In dB, of G; see `TEAMS`.
@@ -888,7 +888,7 @@ class Ts(Relative):
     jnd = 0.010
     # Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s.
     limits = 0.0, 10.0
-    doubt = "is it in ms?"
+    doubt = "check that the value is in s, not in ms"
     # Ts of T = 0.05 s and of T = 28 s.
     usual = 0.0036, 2.0
     teams = EDT.teams

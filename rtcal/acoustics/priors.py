@@ -132,7 +132,7 @@ class SigmaRule:
     def __post_init__(self) -> None:
         for name in ("relative", "minimum"):
             value = checks.number(f"sigma: {name}", getattr(self, name))
-            percent = ": is it in percent?" if 1 < value <= 100 else ""
+            percent = checks.IN_PERCENT if 1 < value <= 100 else ""
             checks.between(f"sigma: {name}", value, 0, 1, why=percent)
         if not 1 <= checks.number("in_situ_factor", self.in_situ_factor) < np.inf:
             raise DataError(

@@ -152,7 +152,9 @@ class Scene:
         put("directivity", directivities(self.directivity, self.sources))
         put("position_uncertainty", checked_uncertainty(self.position_uncertainty))
         if checks.flag("leaks", self.leaks) and self.mesh is None:
-            raise DataError("leaks = true is of a mesh, and no mesh is given")
+            raise DataError(
+                "leaks = true can be given only with a mesh; give mesh, or leave leaks out"
+            )
         surfaces = {}
         for name, faces in checks.mapped("surfaces", self.surfaces).items():
             place = f'surfaces["{text_name("surfaces", name)}"]'
@@ -315,7 +317,8 @@ class Directivity:
             return
         if self.up != UPWARDS:
             raise DataError(
-                "up belongs to a directivity with gains or a file; leave it out with index"
+                "up can be given only with gains or a file, and this directivity has "
+                "index: leave up out"
             )
         index = np.atleast_1d(checks.array("index", self.index))
         if index.ndim != 1 or not index.size:
@@ -615,8 +618,9 @@ def with_patches(
         patch = Surface(f"{name}: {material}", material, area, whole.axis)
         if not patch.area < whole.area:
             raise DataError(
-                f'"{name}" has {whole.area:.6g} m² left, and {material} on it has {patch.area:g} m²; '
-                "where it covers all of the surface, state it as the surface's material"
+                f'"{name}" has {whole.area:.6g} m² left, and a patch must be smaller; {material} '
+                f'has {patch.area:g} m². If {material} covers all of "{name}", give it as '
+                f'the material of "{name}"'
             )
         left[name] = replace(whole, area=whole.area - patch.area)
         pieces.append(patch)
@@ -684,7 +688,7 @@ def _relative(place: str, value: object) -> float:
     """Return a relative standard deviation; DataError unless it is 0 or more and below 1."""
     stated = checks.number(place, value)
     if not 0 <= stated < 1:
-        percent = ": is it in percent?" if 1 <= stated <= 100 else ""
+        percent = checks.IN_PERCENT if 1 <= stated <= 100 else ""
         raise DataError(f"{place} = {stated:g} must be a relative value from 0 to below 1{percent}")
     return stated
 
@@ -868,8 +872,8 @@ class Room:
         climate = checks.listed("climate_sigma", self.climate_sigma)
         if len(climate) != 2:
             raise DataError(
-                f"climate_sigma has {len(climate)} values; give two: K of temperature and % of "
-                "humidity"
+                f"climate_sigma has {len(climate)} values; give two: the uncertainty of "
+                "the temperature in K and that of the humidity in %"
             )
         ends = zip(climate, ((20, "K"), (50, "%")), strict=True)
         put(climate_sigma=tuple(checks.between("climate_sigma", v, 0, *of) for v, of in ends))
@@ -893,7 +897,10 @@ class Room:
         for name in self.pieces:
             self.material_index(name, "pieces: ")
         if self.is_surface.sum() == 0:
-            raise DataError("every material is a piece; a room has at least one surface")
+            raise DataError(
+                "every material of the room is a piece ([[object]]); a room must have at "
+                "least one material with an area"
+            )
 
     def _clipped(self) -> list[str]:
         """Return the coefficients above 1; DataError for one above those that laboratories report."""
@@ -901,9 +908,9 @@ class Room:
         if too_large.any():
             i, k = np.argwhere(too_large)[0].tolist()
             raise DataError(
-                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} looks like percent; write "
-                f"0.5 for 50 %. Laboratory values above 1, up to {LARGEST_LABORATORY_ALPHA:g}, "
-                'are read with above_one = "clip"'
+                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is probably in "
+                "percent; write 0.5 for 50 %. Laboratory values above 1, up to "
+                f'{LARGEST_LABORATORY_ALPHA:g}, are used as 1 with above_one = "clip"'
             )
         above = np.argwhere(self.alpha > self.most_alpha).tolist()
         return [f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g}" for i, k in above]
@@ -919,13 +926,13 @@ class Room:
                     f"{self.place(name, i, k)} = {array[i, k]:g} m² must be from 0 to "
                     f"{LARGEST_PIECE:g} m², the absorption area of one piece"
                 )
-            rule = "in [0, 1]"
+            rule = "from 0 to 1"
             if name == "sigma" and not array[i, k] > 0:
                 rule = "a finite value of 0 or more"
             elif LARGEST_LABORATORY_ALPHA < array[i, k] <= 100 or (
                 name != "alpha" and array[i, k] > 1.5
             ):
-                rule += ": is it in percent?"
+                rule += checks.IN_PERCENT
             elif name == "alpha":
                 rule += above_one_hint(array[i, k])
             raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} must be {rule}")
@@ -1095,8 +1102,9 @@ class Room:
         """Raise DataError if the room has pieces, because ``what`` takes surfaces alone."""
         if self.pieces:
             raise DataError(
-                f'{what}: room "{self.name}" has the [[object]] "{self.pieces[0]}", which has no '
-                "surface; leave it out, or state a [[material]] with an area in its place"
+                f'{what} takes only surfaces, but room "{self.name}" has the [[object]] '
+                f'"{self.pieces[0]}". Leave it out, or give a [[material]] with an area '
+                "instead"
             )
 
     @cached_property
@@ -1463,9 +1471,9 @@ def of_materials(
         if name == "sigma" and stated is None:
             if prior is None:
                 raise DataError(
-                    f'material "{material.name}" has no sigma, and the file has no [prior] from '
-                    "which it could follow; add one of them. If in doubt, write [prior] with "
-                    "relative = 0.3 and minimum = 0.01"
+                    f'material "{material.name}" has no sigma, and the file has no [prior] '
+                    "that gives one. If in doubt, add [prior] with relative = 0.3 and "
+                    "minimum = 0.01"
                 )
             # The rules take up to 2; the room refuses or cuts what lies above 1.
             return prior.sigma(np.clip(row(material, "alpha"), 0, 2), frequencies)
@@ -1520,9 +1528,9 @@ def above_one_hint(alpha: float) -> str:
     if not 1 < alpha <= LARGEST_LABORATORY_ALPHA:
         return ""
     return (
-        ". Laboratories report such values (ISO 354, edge effect): a room that states above_one = "
-        '"clip" takes them as 1 and says so, as `rtcal import library` does with product data. If the '
-        "room's coefficients are in percent, divide them by 100"
+        ". A laboratory may report more than 1 (edge effect, ISO 354): with above_one = "
+        '"clip" the room uses such a value as 1. If the coefficients are in percent, '
+        "divide them by 100"
     )
 
 

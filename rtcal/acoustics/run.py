@@ -79,7 +79,7 @@ class Run:
 
         Materials, bands, areas, volume and air must be the same; alpha and scattering may differ.
         """
-        own, of = self.room, f'the run is of room "{self.room.name}", which has'
+        own, of = self.room, f'the simulation was run with room "{self.room.name}", which has'
         if own.materials != room.materials:
             raise DataError(
                 f"{of} the materials {', '.join(own.materials)}; it must have "
@@ -104,9 +104,10 @@ class Run:
         ``what`` is the name of the missing quantity in the message, such as "T20 or T30".
         """
         return DataError(
-            f"run and measurement have no {what} in common: the run has {contents(self.simulated)}, "
-            f"the measurement has {contents(measured)}. T20 is compared with T20 alone, and T30 with "
-            "T30, in the same band"
+            f"the simulation and the measurement have no {what} in common: the simulation "
+            f"has {contents(self.simulated)}, the measurement has {contents(measured)}. "
+            "Only the same parameter in the same band is compared: T20 with T20, and T30 "
+            "with T30"
         )
 
     def beside(self, measured: Measurement, *, by_pair: bool = False) -> Beside:
@@ -136,8 +137,9 @@ class Run:
         if by_pair and not pairs:
             each = (first_of([*map(" to ".join, of)], 2) for of in own)
             raise DataError(
-                "run and measurement have no pair in common: the run has "
-                f"{', the measurement '.join(each)}"
+                "the simulation and the measurement have no source-receiver pair in "
+                f"common: the simulation has {', the measurement '.join(each)}. Name "
+                "sources and receivers alike in both"
             )
         if pairs:
             run, measured = run.select(pairs), measured.select(pairs)

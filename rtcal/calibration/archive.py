@@ -739,7 +739,9 @@ def _named(
         stated = [str(names.get(m, m)) for m in room.materials]
         if repeated := [m for i, m in enumerate(stated) if m in stated[:i]]:
             raise DataError(
-                f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them in that room'
+                f'room "{room.name}": two of its materials are "{repeated[0]}" in the '
+                "archive; give them different names, or make them one material of the "
+                "room"
             )
         row = []
         for i, name in enumerate(stated):
@@ -847,12 +849,12 @@ def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
     them cannot be read.
     """
     if not checks.path("folder", folder).is_dir():
-        raise DataError(f"{folder}: this folder does not exist")
+        raise DataError(f"{folder}: no such file or folder")
     files = sorted(Path(folder).rglob(NUMBERS))
     if not files:
         raise DataError(
-            f"folder {folder} has no {NUMBERS}; `rtcal calibrate ROOM MEASURED --out {folder}` "
-            "writes it"
+            f"the folder {folder} has no {NUMBERS}. Write one with `rtcal calibrate ROOM "
+            f"MEASURED --out {folder}`"
         )
     kept = []
     for file in files:
@@ -861,8 +863,11 @@ def read_folder(folder: str | os.PathLike[str]) -> list[Calibrated]:
             kept.append(result)
         if len(kept) > _MOST:
             raise DataError(
-                f"folder {folder} has more than {_MOST} calibrations: name a folder with fewer"
+                f"the folder {folder} has more than {_MOST} calibrations: give a folder with fewer"
             )
     if not kept:
-        raise DataError(f"folder {folder} has results, but none of them is a calibration")
+        raise DataError(
+            f"the folder {folder} has results, but none of them is a calibration. Write "
+            "one with `rtcal calibrate ROOM MEASURED --out FOLDER`"
+        )
     return kept

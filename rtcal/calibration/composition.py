@@ -267,8 +267,8 @@ class Composition:
     ) -> None:
         outside = (mu < lower) | (mu > upper)
         for bad, rule in (
-            (lower > upper, "the bounds contradict each other"),
-            (outside & (sigma == 0), "sigma is 0, but alpha is outside its bounds"),
+            (lower > upper, "the lower bound is above the upper one"),
+            (outside & (sigma == 0), "sigma is 0, so alpha cannot move into its bounds"),
         ):
             if not bad.any():
                 continue
@@ -281,6 +281,6 @@ class Composition:
                 ):
                     names.append(repr(box))
             raise DataError(
-                f"{self.layout.place(u)} = {mu[u]:g}, bounds {lower[u]:g} to {upper[u]:g}: {rule}; "
-                f"they come from {' and '.join(names)}"
+                f"{self.layout.place(u)} = {mu[u]:g}, bounds {lower[u]:g} to {upper[u]:g}: "
+                f"{rule}. The bounds come from {' and '.join(names)}"
             )

@@ -211,7 +211,7 @@ def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> 
     if sigma.shape != mu.shape:
         raise DataError(f"sigma has shape {sigma.shape}; it must be {mu.shape}, as mu")
     if (sigma < 0).any():
-        raise DataError(f"sigma has {sigma.min():g}, but must be 0 or more")
+        raise DataError(f"sigma has {sigma.min():g}; every sigma must be 0 or more")
     spread = areas**2 @ sigma**2
     if np.any(spread == 0):
         raise DataError(
@@ -243,8 +243,8 @@ def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
     absorption_area = areas @ mu
     if np.any(absorption_area == 0):
         raise DataError(
-            "S'mu = 0: the input absorption is 0, which no factor can scale to a target; give a "
-            "coefficient above 0"
+            "S'mu = 0: the absorption of the input coefficients is 0, so no factor scales "
+            "it to the target. Give a coefficient above 0"
         )
     return np.asarray(mu * (target / absorption_area))
 
@@ -258,7 +258,7 @@ def _checked(mu: Array, areas: Array, target: Array | float) -> tuple[Array, Arr
             "(n_materials,) and a scalar target, or (n_materials, n_bands) and (n_bands,)"
         )
     if (areas <= 0).any():
-        raise DataError(f"areas has {areas.min():g} m², but must be above 0")
+        raise DataError(f"areas has {areas.min():g} m²; every area must be above 0")
     return mu, areas, target
 
 

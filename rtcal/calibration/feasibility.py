@@ -45,17 +45,14 @@ class Unreachable:
     longest: float
 
     def __str__(self) -> str:
-        needed = "more than any surface has" if np.isnan(self.target) else f"{self.target:.4g} m²"
-        off = ""
-        if self.target < self.lowest:
-            off = f", {self.lowest - self.target:.4g} m² too little"
-        elif self.target > self.highest:
-            off = f", {self.target - self.highest:.4g} m² too much"
+        time = f"{self.reverberation_time:.4g} s"
+        needed = f"{time} would need an absorption area of the surfaces of {self.target:.4g} m²"
+        if np.isnan(self.target):
+            needed = f"No absorption area gives {time}"
         return (
-            f"T[{bands.label(self.frequency)}] = {self.reverberation_time:.4g} s is beyond reach: "
-            f"the absorption area of the surfaces must be {needed}, and the bounds allow "
-            f"{self.lowest:.4g} to {self.highest:.4g} m²{off}; T from {self.shortest:.4g} to "
-            f"{self.longest:.4g} s is possible"
+            f"T[{bands.label(self.frequency)}] = {time} cannot be reached: coefficients within their "
+            f"bounds give T from {self.shortest:.4g} to {self.longest:.4g} s. {needed}; the bounds "
+            f"allow {self.lowest:.4g} to {self.highest:.4g} m²"
         )
 
 
@@ -119,8 +116,9 @@ def restrict_to_reach(
         if lost.any():
             row = int(np.flatnonzero(lost.ravel())[0])
             raise InfeasibleError(
-                f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s is shorter "
-                "than full absorption gives"
+                f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s cannot "
+                "be reached: it is shorter than T with fully absorbing surfaces. Check "
+                "T, the volume and the areas"
             )
         return numbers, none_held, ()
     asked = np.isfinite(times)
@@ -134,9 +132,10 @@ def restrict_to_reach(
     top = np.minimum(high, largest)
     for c, k in np.argwhere(asked & (low > (1 + _MARGIN) * largest))[:1].tolist():
         raise InfeasibleError(
-            f"{bands.label(rooms[c].centre_frequencies[k])}: the bounds allow mean coefficients "
-            f"from {low[c, k] / rooms[c].total_area:.3f}, but {equation.name}'s equation holds up "
-            f"to {equation.largest_mean:.3f}"
+            f"{bands.label(rooms[c].centre_frequencies[k])}: with these bounds the mean "
+            f"absorption coefficient is at least {low[c, k] / rooms[c].total_area:.3f}, "
+            f"but {equation.name}'s equation holds only up to {equation.largest_mean:.3f}. "
+            "Lower the bounds, or use another equation"
         )
     wanted_low = np.max([least for least, _ in matches], axis=0)
     wanted_high = np.min([most for _, most in matches], axis=0)
@@ -156,8 +155,9 @@ def restrict_to_reach(
         stated = rooms[c].centre_frequencies[k], times[c, k], *areas, shortest, longest
         beyond.append(Unreachable(c, *map(float, stated)))
     if beyond and unreachable == "raise":
-        more = [f"{len(beyond) - _SHOWN} more bands are beyond reach"] * (len(beyond) > _SHOWN)
-        raise InfeasibleError("; ".join([*map(str, beyond[:_SHOWN]), *more]))
+        more = [f"{len(beyond) - _SHOWN} more bands cannot be reached"] * (len(beyond) > _SHOWN)
+        cure = "Check T, the volume, the areas and the bounds"
+        raise InfeasibleError(". ".join([*map(str, beyond[:_SHOWN]), *more, cure]))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low
     reached = np.where(at_low, low, np.where(at_high, top, target))
@@ -248,7 +248,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
         return
     by = found.x[A.shape[1] :]
     raise InfeasibleError(
-        "the constraints contradict each other. The smallest relaxation that removes the "
+        "the constraints contradict each other. The smallest change that removes the "
         "contradiction: "
         + "; ".join(
             text.format(by[i] * abs(give))

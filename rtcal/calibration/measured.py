@@ -113,8 +113,8 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         if not np.isfinite(time).any():
             parameters = ", ".join(parameter_label(p) for p in measured.values)
             raise DataError(
-                f"the measurement has {parameters} but no T20 or T30 in any band of the room: "
-                "add T20, which no other parameter can replace"
+                f"the measurement has {parameters} but no T20 or T30 in any band of the "
+                "room. Add T20 or T30; other parameters cannot replace them"
             )
         parameter = there.reverberation_parameter
         return MeasuredTimes(frequencies, time, uncertainty, parameter, measured)

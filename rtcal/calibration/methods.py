@@ -189,7 +189,7 @@ def calibrate(
     Warns
     -----
     MissingAirWarning
-        If the room states no air.
+        If the room has no air.
 
     Examples
     --------

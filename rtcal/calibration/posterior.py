@@ -543,8 +543,8 @@ def _drawn(parts: Sequence[_Part], even: Sequence[Array]) -> list[tuple[Array, A
     for part, own, log in zip(parts, values, logs, strict=True):
         if not np.isfinite(log).any():
             raise SolverError(
-                "no point inside the constraints was found from which sampling could start; "
-                "check that the constraints leave some room"
+                "sampling cannot start, because no point inside the constraints was "
+                "found; make the constraints wider"
             )
         drawn.append((own, _as_stated(log, own, part)))
     return drawn

@@ -186,8 +186,8 @@ class Calibration:
         problem = CalibrationProblem[Any](self.objective, constraints, room, equation)
         if without := [one.name for one in problem.configurations.rooms if one.air is None]:
             warnings.warn(
-                f'room "{without[0]}" states no air: its surfaces are made to absorb what the air '
-                "does. Give it air=rtcal.Air(temperature, humidity)",
+                f'room "{without[0]}" has no air, so the absorption of the air is added to '
+                "its surfaces. Give the room air=rtcal.Air(temperature, humidity)",
                 MissingAirWarning,
                 stacklevel=checks.stack_level(),
             )

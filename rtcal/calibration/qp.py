@@ -100,9 +100,10 @@ class CompiledProblem:
         problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions])
         if not problem.is_dcp(dpp=True):
             raise ModelError(
-                "the composed problem is not DPP, a convex problem that cvxpy compiles once: a term is "
-                "not convex, or it multiplies parameters or divides by one. m.parameter gives a "
-                "product of numbers as one parameter, m.defined makes an expression a variable"
+                "the composed problem breaks cvxpy's rules for parameters (DPP): a term "
+                "is not convex, or it multiplies or divides parameters. Write a product "
+                "of numbers as one m.parameter, and an expression as a variable with "
+                "m.defined"
             )
         for parameter, _ in m.parameters:  # cvxpy compiles none without a value
             parameter.save_value(np.ones(parameter.shape))

@@ -211,8 +211,8 @@ class JointResult(Result):
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
         if not self.has_density:
             raise ModelError(
-                f"{prior!r} is not the log-density of a prior of alpha, so there is no "
-                'posterior. Calibrate with method "soft" or "mle"'
+                f"{prior!r} is not the logarithm of a prior density of alpha, so there is "
+                'no posterior. Calibrate with method "soft" or "mle"'
             )
         if not measured:
             missing = np.full_like(numbers.target, np.nan)
@@ -780,8 +780,8 @@ class CalibrationResult(Result):
         if joint.effects or joint.composition.observations:
             raise ModelError(
                 "a prediction uses T only, but this calibration has effects or other "
-                "observations: calibrate without them, for example the corrected room of `rtcal "
-                "apply`"
+                "observations. Calibrate without them, for example the corrected room of "
+                "`rtcal apply`"
             )
         time = where_valid(self.equation.time, room, room.areas @ self.alpha)
         if not np.isfinite(time).all():

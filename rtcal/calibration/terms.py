@@ -539,7 +539,7 @@ class SoftMatch(Term):
         u = self.relative
         checks.flag("SoftMatch: room", self.room)
         if u is not None and not 0 < checks.number("SoftMatch: relative", u) <= 1:
-            percent = ": is it in percent?" if 1 < u <= 100 else ""
+            percent = checks.IN_PERCENT if 1 < u <= 100 else ""
             raise DataError(f"SoftMatch: relative = {u:g} must be above 0 and at most 1{percent}")
 
     def __call__(self, m: Model) -> Any:
@@ -566,18 +566,21 @@ class SoftMatch(Term):
         for bad, message in (
             (
                 np.isinf(u),
-                "T[{band}] = {time:.4g} s is the shortest that the equation gives: there T does not "
-                "determine the absorption. Take another equation, or leave out the band",
+                "T[{band}] = {time:.4g} s is the shortest T of the equation, where T "
+                "does not determine the absorption. Use another equation, or leave out "
+                "the band",
             ),
             (
                 ~(u > 0),
-                "u_T[{band}] is unknown or 0, and SoftMatch weighs by it: state it in the measurement, "
-                "or leave out what is 0 and give SoftMatch(relative=...), as the methods do",
+                "the uncertainty of T[{band}] is unknown or 0, but SoftMatch needs it "
+                "as a weight. Give it with the measurement; or leave out an uncertainty "
+                "of 0 and give SoftMatch(relative=...), which replaces an unknown one",
             ),
             (
                 u < SMALLEST_UNCERTAINTY * np.abs(numbers.target),
-                "u_T[{band}] is below a millionth of T, which no measurement reaches: state it as "
-                "measured, or leave it out and take method mle",
+                "the uncertainty of T[{band}] is below a millionth of T, which no "
+                "measurement reaches: give the measured uncertainty, or leave it out and "
+                "use method mle",
             ),
         ):
             if (wrong := numbers.matched & bad).any():
@@ -798,7 +801,7 @@ class AtMost:
         checks.texts("AtMost: material", (self.lesser, self.greater))
         if self.lesser == self.greater:
             raise DataError(
-                f'AtMost: "{self.lesser}" is on both sides; name two different materials'
+                f'AtMost compares "{self.lesser}" with itself; name two different materials'
             )
 
     def __call__(self, m: Model) -> list[Any]:
@@ -849,9 +852,9 @@ class GroupAbsorption:
         ordered = given == sorted(given) and np.isfinite(given).all()
         if not (materials and given and ordered and given[0] >= 0):
             raise DataError(
-                f"GroupAbsorption: materials = {materials}, least = {self.least}, most = "
-                f"{self.most} m²; give at least one material, and least or most or both with 0 "
-                "<= least <= most"
+                f"GroupAbsorption: materials = {materials}, least = {self.least} m², most "
+                f"= {self.most} m². Give at least one material, and least, most or both; "
+                "0 <= least <= most must hold"
             )
 
     def __call__(self, m: Model) -> list[Any]:

@@ -139,27 +139,31 @@ def _run(arguments: Sequence[str] | None) -> int:
         warn(message.removesuffix(".") + decimal_comma(message) if "float" in message else message)
         return error.exit_code
     except RtcalError as error:
-        warn(f"{error}{_exchanged(error, [*map(str, stated)])}")
+        warn(_with_exchange(error, [*map(str, stated)]))
         if isinstance(error, SolverError):
             return 3
         return 4 if isinstance(error, MissingDependencyError) else 2
     except OSError as error:  # of a path that the system refuses, such as a name of 300 characters
-        warn(f"{shortened(str(error.filename), 200)}: {error.strerror or error}")
+        missing = isinstance(error, FileNotFoundError)
+        why = "no such file or folder" if missing else error.strerror or error
+        warn(f"{shortened(str(error.filename), 200)}: {why}")
         return 2
     return code if isinstance(code, int) else 0
 
 
-def _exchanged(error: BaseException, stated: Sequence[str]) -> str:
-    """Return the command with two files exchanged, where each is of the other's kind; "" else."""
+def _with_exchange(error: BaseException, stated: Sequence[str]) -> str:
+    """Return an error's message; the exchange of two files, if each is of the other's kind, ends it."""
+    message = str(error)
     while error.__cause__ is not None and not isinstance(error, OtherKindError):
         error = error.__cause__
     if not isinstance(error, OtherKindError):
-        return ""
+        return message
     own = [i for i, text in enumerate(stated) if text == error.path]
     others = [i for i, text in enumerate(stated) if kind_of(text) == error.needed]
     if len(own) != 1 or not others:
-        return ""
+        return message
     i, k = own[0], min(others, key=lambda k: (abs(k - own[0]), -k))
     right = [*stated]
     right[i], right[k] = right[k], right[i]
-    return f". Exchange them: {shlex.join(['rtcal', *right])}"
+    command = shlex.join(["rtcal", *right])
+    return f"{message.removesuffix(error.hint)}. Exchange the two files: {command}"

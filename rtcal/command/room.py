@@ -254,7 +254,7 @@ class _Materials:
             if alpha is None:
                 raise DataError(f"{place}: alpha at {f:g} Hz is missing")
             if not 0 <= alpha <= 1:
-                percent = ": is it in percent?" if 2 < alpha <= 100 else ""
+                percent = checks.IN_PERCENT if 2 < alpha <= 100 else ""
                 raise DataError(
                     f"{place}: alpha = {alpha:g} at {f:g} Hz must be from 0 to 1{percent}"
                 )

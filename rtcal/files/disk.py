@@ -50,7 +50,9 @@ def _naming(path: Any, what: str = "") -> Iterator[None]:
     except DataError:
         raise
     except OSError as error:
-        raise DataError(f"{path}: {what}{error.strerror or error}") from error
+        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
+        why = "no such file or folder" if missing else error.strerror or error
+        raise DataError(f"{path}: {what}{why}") from error
     except (ValueError, TypeError) as error:  # a path with a NUL, or no path
         raise DataError(f"{path!r} must be a path: {error}") from error
 
@@ -128,11 +130,11 @@ def target(path: Path) -> Path:
     except FileNotFoundError:
         return file
     except RuntimeError as error:  # Python 3.11 and 3.12
-        raise OSError("a loop of links") from error
+        raise OSError("the links form a loop") from error
     if stat.S_ISDIR(kind):
-        raise IsADirectoryError(None, "Is a directory")
+        raise IsADirectoryError(None, "it is a folder; give the name of a file")
     if not stat.S_ISREG(kind):
-        raise OSError("not a regular file")
+        raise OSError("it is not a regular file")
     return file
 
 
@@ -220,8 +222,9 @@ def _require_whole(path: Path) -> None:
     if len(new) in (0, len(torn)) or (repeated and path.name not in new):
         return
     raise DataError(
-        f"{path}: was not written whole: only {', '.join(new)} of {', '.join(torn)} is new, "
-        f"because `{own['command']}` was interrupted. Repeat that command"
+        f"{path}: `{own['command']}` was interrupted while it wrote {', '.join(torn)}; "
+        f"only {', '.join(new)} is new, so the files do not belong together. Repeat that "
+        "command"
     )
 
 
@@ -240,8 +243,8 @@ def refuse_foreign(path: str | os.PathLike[str]) -> None:
         return  # where it is written, the reason is said
     if foreign:
         raise DataError(
-            f"{path}: exists, and rtcal did not write it or it was changed since. Choose another "
-            "name, or replace it with --force"
+            f"{path}: this file exists, and rtcal did not write it, or it was changed "
+            "afterwards. Choose another name, or replace the file with --force"
         )
 
 
@@ -322,8 +325,8 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     with _naming(path):
         if Path(path).exists() and not Path(path).is_file():
             room = Path(path) / "room.toml"
-            found = f"; did you mean {room}?" if room.is_file() else ""
-            raise DataError(f"{path}: is not a file{found}")
+            found = f". Did you mean {room}?" if room.is_file() else ""
+            raise DataError(f"{path}: this is not a file{found}")
         file = Path(os.path.realpath(path))
         if _current is not None and file in _current.contents:
             content = _current.contents[file]
@@ -333,7 +336,8 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
                 content = stream.read(limit + 1)
     if len(content) > limit:
         raise DataError(
-            f"{path}: has more than {limit} bytes, the most that rtcal reads of a file of this kind"
+            f"{path}: the file has more than {limit} bytes, the largest size of a file of "
+            "this kind that rtcal reads"
         )
     return content
 
@@ -348,7 +352,8 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise DataError(
-            f"{path}: is not UTF-8 text (byte {error.start}): save it as UTF-8"
+            f"{path}: the file is not UTF-8 text (first wrong byte: {error.start}). Save "
+            "it as UTF-8"
         ) from error
 
 
@@ -364,7 +369,10 @@ def spare(
     for path in written:
         place = Path(path).resolve()
         if place in taken:
-            raise DataError(f"{path}: would overwrite {taken[place]}; choose another name")
+            raise DataError(
+                f"{path}: this output would overwrite {taken[place]}. Choose another name "
+                "for the output"
+            )
         taken[place] = path
         refuse_foreign(path)
 
@@ -395,7 +403,7 @@ def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | No
             file = target(Path(path))
             targets[file], stated[file] = content, os.fspath(path)
             if not file.parent.is_dir():
-                raise FileNotFoundError(None, "No such file or directory")
+                raise FileNotFoundError(None, "no such file or folder")
             refuse_foreign(path)
     if _current is not None:
         _current.contents.update(targets)

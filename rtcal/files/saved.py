@@ -126,7 +126,9 @@ def load(path: str | os.PathLike[str]) -> Any:
     if place.is_dir():
         place /= NUMBERS
         if not place.exists():
-            raise DataError(f"folder {path} has no {NUMBERS}: {MADE}")
+            raise DataError(
+                f"the folder {path} has no {NUMBERS}, so it holds no saved result. {MADE}"
+            )
     with expecting(RESULT, place):
         record = json_object(read_text(place, MAX_BYTES))
         kind, itself = record.get("rtcal"), record.get(_OBJECT)

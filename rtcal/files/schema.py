@@ -116,7 +116,7 @@ def _fault(kind: Any, value: Any, place: str, *, refused: bool) -> str | None:
     number = isinstance(value, int | float) and not isinstance(value, bool)
     if number and not math.isfinite(value):
         return f"{place} = {value:g} must be finite"
-    percent = ": is it in percent?" if number and most == 1 < value <= 100 else ""
+    percent = checks.IN_PERCENT if number and most == 1 < value <= 100 else ""
     rule = " or ".join(dict.fromkeys(_words(option) for option in _options(kind)))
     comma = decimal_comma(value) if isinstance(value, str) else ""
     return f"{_whole(place)} = {shown(value)} must be {rule}{percent}{comma}"
@@ -170,12 +170,11 @@ def _wrong_key(kind: Any, value: Any, place: str) -> str | None:
             near = get_close_matches(name, fields, 1)
             among = get_close_matches(name, fields, 12, 0)
             more = ", ..." if len(fields) > len(among) else ""
-            meant = (
-                f': is "{near[0]}" meant?' if near else f"; it may have {', '.join(among)}{more}"
-            )
-            return f'{_whole(place)} has the key "{name}", which has no meaning{meant}'
+            known = f". Known keys: {', '.join(among)}{more}"
+            meant = f'; did you mean "{near[0]}"?' if near else known
+            return f'{_whole(place)} has an unknown key, "{name}"{meant}'
     lacking = (name for name, needed in fields.items() if needed and name not in value)
-    return next((f"{_whole(place)} lacks {name}" for name in lacking), None)
+    return next((f'{_whole(place)} lacks the key "{name}"; add it' for name in lacking), None)
 
 
 def _parts(kind: Any, value: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
@@ -258,7 +257,7 @@ def toml_table(text: str) -> dict[str, Any]:
         raise DataError(f"a key has more than {MAX_DOTS} parts")
     if pairs := _PAIRS.search(text):
         line = text.count("\n", 0, pairs.start(1)) + 1
-        raise DataError(f"line {line}: {pairs[1]}{decimal_comma(pairs[1])}")
+        raise DataError(f"line {line}: {pairs[1]} has decimal commas{decimal_comma(pairs[1])}")
     try:
         value = tomllib.loads(text)
     except RecursionError as error:
@@ -328,22 +327,26 @@ def _check_levels(value: Any) -> None:
 
 
 ROOM = "a room"
+_FIRST = "Give the room first, and then the measurement"
 _HOLDS = {
-    "rtcal": ("a saved result", "`rtcal report {0}` makes its page"),
-    "configuration": ("a case", "it names its measurements, and `rtcal find {0}` takes it alone"),
-    "variant": ("a file of variants", "`rtcal predict --change {0}` takes it"),
-    "treatment": ("a file of treatments", "`rtcal design --treatments {0}` takes it"),
-    "volume": (ROOM, "a room stands first, before what was measured in it"),
-    "centre_frequencies": (ROOM, "a room stands first, before what was measured in it"),
+    "rtcal": ("a saved result", "For its page use `rtcal report {0}`"),
+    "configuration": ("a case", "A case names its measurements: give it alone, `rtcal find {0}`"),
+    "variant": ("a file of variants", "Give it as `rtcal predict --change {0}`"),
+    "treatment": ("a file of treatments", "Give it as `rtcal design --treatments {0}`"),
+    "volume": (ROOM, _FIRST),
+    "centre_frequencies": (ROOM, _FIRST),
 }
 """What a file is by a key that no other kind has, and which command takes it."""
 TABLE = "a table of values"
-_HINTS = dict(_HOLDS.values()) | {TABLE: "a measured table stands second, after the room"}
+_HINTS = dict(_HOLDS.values()) | {TABLE: _FIRST}
 RESULT = "a saved result"
 MADE = (
-    "make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or `rtcal find "
+    "Make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or `rtcal find "
     "room.toml t.csv --out found`"
 )
+RESPONSE = "an impulse response"
+_NEEDED = {RESULT: MADE, RESPONSE: "Give a sound file (WAV, FLAC) or a SOFA file"}
+"""What to give where a kind is needed; for the others it follows from the file that was given."""
 _NO_TABLE = re.compile(r"\s*(?:\[|\{|[\w.\"-]+\s*=)")
 _MOST_OF_A_FILE = 2**25
 
@@ -370,6 +373,7 @@ class OtherKindError(DataError):
 
     path: str
     needed: str
+    hint: str
 
 
 @contextmanager
@@ -384,9 +388,11 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
     except DataError as error:
         found = kind_of(place)
         if found not in ("", kind):
-            hint = MADE if kind == RESULT else _HINTS[found].format(place)
-            other = OtherKindError(f"{place} is {found}, and {kind} is needed: {hint}")
-            other.path, other.needed = place, kind
+            needless = _HINTS[found] == _FIRST and kind not in (ROOM, TABLE, "a case")
+            hint = _NEEDED.get(kind, "" if needless else _HINTS[found])
+            hint = f". {hint.format(place)}" if hint else ""
+            other = OtherKindError(f"{place} is {found}, but {kind} is needed here{hint}")
+            other.path, other.needed, other.hint = place, kind, hint
             raise other from error
         if str(error).startswith((f"{place}:", f"{place},")):
             raise

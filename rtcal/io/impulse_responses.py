@@ -61,7 +61,7 @@ from rtcal.acoustics.observables import (
     of_kind,
     parameter_label,
 )
-from rtcal.files.schema import expecting
+from rtcal.files.schema import RESPONSE, expecting
 from rtcal.io import budget, sofa
 from rtcal.io.table_columns import position_in
 from rtcal.io.tables import MOST_NAMED, means, spread
@@ -276,7 +276,7 @@ def _opened(path: str) -> Iterator[Any]:
         with open(path, "rb") as stream, soundfile.SoundFile(stream) as file:
             yield file
     except soundfile.SoundFileError as error:
-        with expecting("an impulse response", path):
+        with expecting(RESPONSE, path):
             raise DataError(
                 f"{path}: cannot be read as sound: it is damaged, or in none of the formats of "
                 "soundfile (WAV, RF64, W64, AIFF, CAF, FLAC and others). Export it as WAV or FLAC"

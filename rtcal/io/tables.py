@@ -1148,7 +1148,6 @@ class _Table:
         try:
             observed.refuse(f"{place}: {label}", value)
         except DataError as error:
-            text = str(error) if str(error).endswith("?") else f"{error}."
             unit = _OTHER_UNITS.get(observed.unit)
             if unit and _is_accepted(parameter, value * scale_of(parameter, unit)):
                 columns = [
@@ -1160,9 +1159,11 @@ class _Table:
                 cure = columns_text(lines, [c.meaning if c.kind else "-" for c in columns])
                 stated = replace(self.options, columns=cure.partition('"')[2][:-1])
                 is_cure = not (self.options.on_trial or _refusal(self.sheet, stated))
-                cure = f" or state {cure}" * is_cure
-                raise DataError(f"{text} If so, write {named}{cure}") from error
-            raise DataError(f"{text} If it is no measurement, empty the cell") from error
+                cure = f" or give {cure}" * is_cure
+                raise DataError(
+                    f"{error}. If the values are in {unit}, write {named}{cure}"
+                ) from error
+            raise DataError(f"{error}. If this cell holds no measured value, empty it") from error
 
     def report(self, of_means: bool) -> list[str]:
         """Return how each column was read; ``of_means`` says that the file has no positions."""

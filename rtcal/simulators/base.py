@@ -472,7 +472,7 @@ def of_decays(
     match: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     centre_frequencies: Array,
-    cause: str = "too little is reflected",
+    cause: str = "too little sound is reflected",
 ) -> Observations:
     """Return the observations from energy decays, (n_pairs, n_bands, n_bins) in 1/m².
 
@@ -497,7 +497,7 @@ def values_of_decays(
     match: Sequence[str],
     pairs: Sequence[tuple[str, str]],
     centre_frequencies: Array,
-    cause: str = "too little is reflected",
+    cause: str = "too little sound is reflected",
 ) -> Array:
     """Return the values of parameters from energy decays, as `of_decays` but without its checks.
 
@@ -515,7 +515,7 @@ def values_of_decays(
             place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
             if kind.too_short(energy)[first]:
                 raise TooShortError(
-                    f"the decay from {place} is too short to hold {parameter_label(name)}: {cause}"
+                    f"the decay from {place} is too short for {parameter_label(name)}: {cause}"
                 )
             raise DataError(f"the decay from {place} has no {parameter_label(name)}: {cause}")
     return values

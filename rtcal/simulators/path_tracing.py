@@ -1230,7 +1230,7 @@ class PathTracing(Tracer):
             longest(match),
             most,
         )
-        cause = "too little is reflected"
+        cause = "too little sound is reflected"
         if np.max(self.room.areas @ alpha) < _REFLECTING * self.room.areas.sum():
             cause = f"{self.n_paths} paths per source are too few. Take a larger n_paths"
         of_room = match, self.pairs, self.centre_frequencies, cause

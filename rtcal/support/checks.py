@@ -172,8 +172,8 @@ def array(place: str, value: object) -> Array:
             return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
         raise DataError(f"{place} must be an array of real numbers: {cause}") from cause
-    found = {"c": "complex ones", "U": "texts", "S": "texts"}.get(kind, "true or false")
-    raise DataError(f"{place} must be an array of real numbers: it has {found}")
+    found = {"c": "complex numbers", "U": "text", "S": "text"}.get(kind, "true or false")
+    raise DataError(f"{place} must be an array of real numbers, but it contains {found}")
 
 
 def shaped(place: str, value: object, *shape: int | str) -> Array:
@@ -187,9 +187,8 @@ def shaped(place: str, value: object, *shape: int | str) -> Array:
     for n, of in zip(found.shape, shape, strict=False):
         fits &= isinstance(of, str) or n == of
     if not fits:
-        raise DataError(
-            f"{place} has shape {found.shape}; it must be ({', '.join(map(str, shape))})"
-        )
+        needed = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+        raise DataError(f"{place} has shape {found.shape}; it must be {needed}")
     return read_only(found)
 
 
@@ -267,6 +266,8 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+IN_PERCENT = ". If it is in percent, divide it by 100"
+"""Advice on a share that is above 1."""
 LONGEST_NAME = 200
 """Largest length of an author, and of what stands at the head of a page, in characters."""
 _BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
@@ -321,4 +322,4 @@ def look_alike(names: Iterable[str]) -> tuple[str, str] | None:
     return None
 
 
-LOOKS = "which only upper case, blanks or the width of characters keep apart"
+LOOKS = "which differ only in upper case, blanks or the width of characters"

@@ -31,7 +31,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     assert (folder / "b.html").read_text(encoding="utf-8") == text
     kept = sorted(p.name for p in folder.iterdir() if not p.name.startswith(".rtcal_files"))
     for out, said in (
-        (folder / "no" / "p.html", "No such file"),
+        (folder / "no" / "p.html", "no such file"),
         (folder, "is a directory"),
         (folder / "result.json", "would overwrite"),
         ("", "--out is empty"),

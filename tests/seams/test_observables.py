@@ -117,7 +117,7 @@ def test_an_observable_from_outside_is_simulated() -> None:
         """Level of the energy after 80 ms in dB."""
 
         key, label, rank, unit = "l80", "L80", 55, "dB"
-        decimals, jnd, limits, doubt = 1, 1.0, (-200.0, 200.0), "is it in dB?"
+        decimals, jnd, limits, doubt = 1, 1.0, (-200.0, 200.0), "check that the value is in dB"
         teams, unknown_error, minimum_range = (1.0,) * 6, 0.5, None
 
         def value(self, energy, bin_width):

@@ -87,7 +87,7 @@ def test_bands_of_which_some_are_in_khz_are_refused(
     path = folder / "t.csv"
     path.write_text(re.sub(r"T30,(\d)000", r"T30,\1", path.read_text()))
     said = ran(capsys, "calibrate", folder / "room.toml", path, code=2)
-    assert "1, 2 and 4 Hz beside 125, 250 and 500 Hz: give all bands in Hz" in said
+    assert "1, 2 and 4 Hz and also 125, 250 and 500 Hz, so some are probably in kHz" in said
     rt.Measurement.from_values([4, 8, 16, 31.5, 63], t20=np.ones(5))  # each octave is there
 
 
@@ -96,7 +96,7 @@ def test_a_list_in_the_place_of_the_room_is_named(
 ) -> None:
     room, hall = example("room", tmp_path) / "room.toml", example("program", tmp_path) / "hall.geo"
     said = ran(capsys, "export", "catt", hall, room, code=2)
-    assert said.endswith(f"Exchange them: rtcal export catt {room} {hall}")
+    assert said.endswith(f"Exchange the two files: rtcal export catt {room} {hall}")
 
 
 CHANGE = """
