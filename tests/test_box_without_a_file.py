@@ -165,7 +165,7 @@ def test_a_time_beyond_reach_writes_nothing(
     assert run(*command, "--temperature", "20", "--t20", "4000:25") == 2
     assert "cannot be reached" in capsys.readouterr().err
     assert run(*command, "--t20", "500:0.5", "--t30", "500:0.5") == 2
-    assert "several measurements: --t20 and --t30; give one" in capsys.readouterr().err
+    assert "--t20 and --t30 are both given; give only one" in capsys.readouterr().err
     assert run(*command, "--t20", "900 800 700 700 600 600") == 2
     assert (
         "900 s must be from 0.01 to 120 s; check that the value is in seconds"
@@ -230,11 +230,11 @@ def test_questions_in_the_terminal(
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     assert run("room", "--ask") == 0
     said = capsys.readouterr()
-    assert "has 2 numbers, and not 3" in said.err
-    assert '"xyzzy" is like no material' in said.err
+    assert "has 2 numbers, but must have 3" in said.err
+    assert 'no material like "xyzzy"' in said.err
     assert "The room has 189 m³" in said.out
     assert "Measured T20 / s in 6 bands, 125 to 4000 Hz, to calibrate" in said.err
-    assert "has 2 numbers, and not 6" in said.err
+    assert "has 2 numbers, but must have 6" in said.err
     assert "900 s must be from 0.01 to 120 s" in said.err
     assert "and then `rtcal calibrate" in " ".join(said.out.split())
     assert '"west" has 16.5 m² left' in said.err
@@ -268,12 +268,12 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        (["--dimensions", "9 7"], r'sides: "9 7" has 2 numbers, and not 3'),
+        (["--dimensions", "9 7"], r'sides: "9 7" has 2 numbers, but must have 3'),
         (["--dimensions", "9m x 700cm x 3m"], "several units"),
         (["--dimensions", "9x7x0"], "side = 0 m"),
-        (["--floor", "xyzzy"], r'floor: "xyzzy" is like no material'),
+        (["--floor", "xyzzy"], r'floor: the catalogue has no material like "xyzzy"'),
         (["--floor", "10 10 20 20 30 30"], r"floor: alpha = 10 at 125 Hz .* in percent\?"),
-        (["--floor", "0.1 0.2"], "floor: .* has 2 numbers, and not 1 or 6"),
+        (["--floor", "0.1 0.2"], "floor: .* has 2 numbers, but must have 1 or 6"),
         (["--floor", "125:0.1 250:0.1"], "floor: alpha at 500 Hz is missing"),
         (["--wall", "left=brick"], '"left" is not a wall; the walls are west, east'),
         (["--window", "west:4.5=glazing"], "is not WALL=M2:MATERIAL"),
@@ -282,14 +282,20 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--window", "west=-1:glazing"], "west=-1:glazing: area = -1 m²"),
         (["--window", "west=1.5x3:glazing"], '"1.5x3" .* a piece is WALL=M2:MATERIAL'),
         (["--floor", "-0.1"], "floor: alpha = -0.1 at 125 Hz"),
-        (["--floor", "xyzzy", "--ask"], r'^rtcal: floor: "xyzzy" is like no material'),
+        (
+            ["--floor", "xyzzy", "--ask"],
+            r'^rtcal: floor: the catalogue has no material like "xyzzy"',
+        ),
         (
             ["--dimensions", "9000 7000 3000"],
             "V = 1.89e.11 m³ .* it is 189 m³ in mm or .* write the unit",
         ),
         (["--dimensions", "3000x2000x1000 ft"], "--dimensions: V = 1.7e.08 m³ .* it is 6 m³ in mm"),
-        (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor m, cm'),
-        (["--audience", "200"], "--audience: 200 persons take 1 m² each, and the floor has 63 m²"),
+        (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor one of'),
+        (
+            ["--audience", "200"],
+            "--audience: 200 persons need 1 m² each, but the floor has only 63 m²",
+        ),
         (["--temperature", "200"], "200"),
         (["--out", "room.csv"], r"room.csv: .* use .toml"),
     ],
@@ -305,9 +311,9 @@ def test_what_is_wrong_is_named_and_nothing_is_written(
 
 def test_what_is_missing_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("room", "--floor", "carpet") == 2
-    assert "missing: --dimensions, --ceiling, --walls, --out" in capsys.readouterr().err
+    assert "--dimensions, --ceiling, --walls, --out are missing" in capsys.readouterr().err
     assert run("room", "--floor", "carpet", "--t20", "0.5") == 2
-    assert "missing: --dimensions, --ceiling, --walls. With --ask" in capsys.readouterr().err
+    assert "--dimensions, --ceiling, --walls are missing. Add them" in capsys.readouterr().err
 
 
 def test_an_audience_that_leaves_leaves_the_floor(tmp_path: Path) -> None:
@@ -384,15 +390,15 @@ def test_a_stated_time_is_that_of_a_table(tmp_path: Path, capsys: pytest.Capture
     np.testing.assert_array_equal(of_file, of_option)
     assert of_option[0, 2:4].tolist() == [0.9, 0.8]
     assert run("calibrate", path, table, "--t20", "0.9") == 2
-    assert "several measurements: MEASURED and --t20; give one" in capsys.readouterr().err
+    assert "MEASURED and --t20 are both given; give only one" in capsys.readouterr().err
     assert run("calibrate", path, "--t20", "500:0.006") == 2
     assert "--t20 at 500 Hz = 0.006 s must be from 0.01 to 120 s" in capsys.readouterr().err
     assert run("calibrate", path, "--t20", "0.9") == 2
-    assert "has 1 number, and not 6; the room has 6 bands" in capsys.readouterr().err
+    assert "has 1 number, but must have 6. The room has 6 bands" in capsys.readouterr().err
     assert run("calibrate", path) == 2
     assert "Missing argument MEASURED" in capsys.readouterr().err
     assert run("find", path) == 2
-    assert "is a room: MEASURED is missing, or --t20" in capsys.readouterr().err
+    assert "is a room, and the measurement is missing" in capsys.readouterr().err
 
 
 def test_the_largest_share_of_absorption_is_first() -> None:

@@ -68,7 +68,7 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     for name in ("app.json", "app.toml"):
         refused = CliRunner().invoke(cli, ["apply", saved, "--out", str(folder / name)])
         assert isinstance(refused.exception, rt.errors.DataError)
-        assert f"written to a folder: --out {folder / 'app'}" in str(refused.exception)
+        assert f"Give a folder, such as --out {folder / 'app'}" in str(refused.exception)
         assert not (folder / name).exists()
     again = json.loads(run("find", str(out / "case.json"), "--json"))
     assert again["verdict"] in ("none", "hint")

@@ -579,14 +579,14 @@ def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume
     path = obj([("brick", p) for _, p in walls("east")], tmp_path / "open.obj")
     picture, out = tmp_path / "p.png", tmp_path / "room.toml"
     said = said_by(capsys, "check", path, "--picture", picture, code=2)
-    assert "Estimated with rays, the volume is 2" in said
+    assert "Rays estimate a volume of 2" in said
     assert "Written" in said
     assert picture.stat().st_size > 1000
     said = said_by(capsys, "check", path, "--open", "--picture", picture)
     assert " estimated with rays, S = " in said
     assert "hole: " not in said.partition("Defects:")[0]
     to = ("--open", "--mended", tmp_path / "m.obj")
-    assert "takes the mesh as it is" in said_by(capsys, "check", path, *to, code=2)
+    assert "--open does not repair the mesh" in said_by(capsys, "check", path, *to, code=2)
     given = ("catalogue", "--mesh", path, "--out", out, "--catalogue", "brick=brick_wall_rough")
     said_by(capsys, *given, code=2)
     assert not out.exists()

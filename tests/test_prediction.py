@@ -633,7 +633,7 @@ def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, capsys)
     code, text, _ = called("--simulated", files[3], "--out", str(tmp_path / "out"))
     assert code == 0
     assert text.count("The change is the program's") == 1
-    assert "give what it gave before with --simulated" in " ".join(called()[2].split())
+    assert "Add it with --simulated" in " ".join(called()[2].split())
     first, second = rt.load(tmp_path / "out").predictions
     np.testing.assert_allclose(first.mean, 0.6 * before, rtol=2e-3)  # of a file's digits
     assert second.simulated is None

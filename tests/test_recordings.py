@@ -331,4 +331,4 @@ def test_commands(tmp_path: Path, capsys) -> None:
     capsys.readouterr()
     for wrong in (("--sweep", s, "--interrupted"), ("--interrupted", "--uncertainty")):
         assert run("measure", n, *wrong) != 0
-        assert "--interrupted does not go with" in capsys.readouterr().err
+        assert "cannot be given with --interrupted" in capsys.readouterr().err

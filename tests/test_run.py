@@ -291,7 +291,7 @@ def test_the_command_writes_page_and_numbers(tmp_path, capsys) -> None:
     assert pages.page(found) == (out / "report.html").read_text("utf-8")
     other = str(tmp_path / "other.toml")
     box(volume=130).save(other)
-    assert "add that simulation with --simulated" in called("--at", other)[2]
+    assert "Add it with --simulated" in called("--at", other)[2]
     assert "volume = 130" in called("--simulated", run, "--at", other)[2]
 
 

@@ -105,7 +105,8 @@ def test_nothing_found_is_said_and_nothing_is_written(
         (("--form", "hole"), "'hole' is not one of"),
         (
             ("--out", "pairs.csv"),
-            "--out pairs.csv is a file, but results are written to a folder: --out pairs",
+            "--out pairs.csv is a file, but the results need a folder. Give a "
+            "folder, such as --out pairs",
         ),
     ],
 )

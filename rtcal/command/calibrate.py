@@ -67,7 +67,8 @@ def calibrate(
     if modes is not None:
         if (*stated.values(),) != ("mle", "clarabel", "raise"):
             raise DataError(
-                "--modes uses a method of its own: leave out --method, --solver and --unreachable"
+                "--method, --solver and --unreachable cannot be given with --modes, which "
+                "has a method of its own. Leave them out"
             )
         prior = console.read_room(room)
         with console.without_air_warning():
@@ -157,8 +158,8 @@ def fit(
         scattering = _START
         if not console.is_quiet():
             console.warn(
-                f"{room} has no scattering: the fit starts at {_START:g} for every material and band; "
-                "--scattering gives another start"
+                f"{room} has no scattering coefficients, so the fit starts with {_START:g} "
+                "for every material and band. Give another start with --scattering"
             )
     with console.without_air_warning():
         prior = stated if modes is None else console.told_by_modes(stated, modes)
@@ -229,7 +230,7 @@ def learn(
     from rtcal.files.saved import NUMBERS
 
     if room is not None and out is None:
-        raise DataError("--apply writes a room: name its file with --out")
+        raise DataError("--apply needs --out, the file of the room that it writes")
     saved = [*map(str, Path(folder).rglob(NUMBERS))]
     if out is not None:
         spare([out / NUMBERS, out / LIBRARY_ROOM], [*saved, *([] if room is None else [room])])

@@ -130,14 +130,18 @@ def spectrum(
             values = numbers_of(text, {len(bands), *([1] if alone else [])}, option)
         except DataError as error:
             raise DataError(
-                f'{error}; the room has {span(bands)}. For some of them, name each: "500:0.8 1000:0.7"'
+                f"{error}. The room has {span(bands)}. To give values for some bands only, "
+                'write them as "500:0.8 1000:0.7"'
             ) from error
         return dict(zip(bands, values * (len(bands) // len(values)), strict=True))
     found: dict[float, float] = {}
     for label, value in zip(labelled[::2], labelled[1::2], strict=True):
         band = frequency_of(label)
         if before or band is None or band in found:
-            raise DataError(f'{option}: "{text}" is not BAND:VALUE for bands in Hz, each once')
+            raise DataError(
+                f'{option}: "{text}" must be BAND:VALUE for each band, with the band in Hz '
+                'and no band twice, such as "500:0.8 1000:0.7"'
+            )
         (found[band],) = numbers_of(value, [1], f"{option}, {label}")
     return found
 
@@ -166,7 +170,7 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
     except DataError as error:
         text = as_options(str(error), ARGUMENTS)
         if text != str(error):
-            text += f". `rtcal table {path}` takes the option, and --out writes what it read"
+            text += f". Give the option to `rtcal table {path} --out FILE`, and then use FILE"
         raise DataError(text) from error
     told = not (quietly or is_quiet())
     if table.columns and told:
@@ -202,7 +206,7 @@ def measured(
     stated = {name: text for name, text in times.items() if text is not None}
     given = [*(["MEASURED"] if path is not None else []), *(f"--{name}" for name in stated)]
     if len(given) > 1:
-        raise DataError(f"several measurements: {' and '.join(given)}; give one of them")
+        raise DataError(f"{' and '.join(given)} are both given; give only one measurement")
     if path is not None:
         return read_measured(path, quietly=quietly)
     for name, text in stated.items():
@@ -218,8 +222,8 @@ def read_run(room: Room, simulated: str | None, at: str | None) -> Run | None:
     if simulated is None:
         if at is not None:
             raise DataError(
-                f"--at {at} gives the coefficients with which a simulation was run: add that "
-                "simulation with --simulated"
+                f"--at {at} gives the coefficients of a simulation, but the simulation is "
+                "missing. Add it with --simulated"
             )
         return None
     data, own = read_measured(simulated), room if at is None else Room.from_file(at)
@@ -609,7 +613,8 @@ def fit_ending(option: str, path: str | None, *written: str) -> None:
     ending = "" if path is None else Path(path).suffix.lower()
     if ending in _FORMATS.split() and ending not in written:
         raise DataError(
-            f'{option} {path}: "{ending}" cannot be written; use {" or ".join(written)}'
+            f'{option} {path}: a file that ends in "{ending}" cannot be written here. Use '
+            f"{' or '.join(written)}"
         )
 
 

@@ -95,15 +95,18 @@ def measure(
     from rtcal.support.speed import bar
 
     if interrupted and (sweep is not None or uncertainty):
-        other = "--uncertainty: the spread of the stops is it" if sweep is None else "--sweep"
-        raise DataError(f"--interrupted does not go with {other}")
+        other = "--uncertainty" if sweep is None else "--sweep"
+        why = "the uncertainty is then the spread of the decays after the stops"
+        if sweep is not None:
+            why = "a recording holds either a sweep or stopped noise"
+        raise DataError(f"{other} cannot be given with --interrupted: {why}. Leave {other} out")
     given = responses if sweep is None else (*responses, sweep)
     spare([path for path in (out, positions) if path is not None], given)
     console.fit_ending("--out", out, *_TABLES)
     if positions is not None and len(responses) != 1:
         raise DataError(
-            "--positions can be used with one SOFA file only, because several files name "
-            "their positions alike"
+            "--positions needs exactly one SOFA file, because several files use the same "
+            "names for different positions. Give one SOFA file, or leave --positions out"
         )
     scene = None if positions is None else sofa.read(responses[0]).positions_text()
     with (
@@ -129,7 +132,7 @@ def measure(
     if nothing and out is not None:
         raise DataError(
             f"{out} was not written, because no parameter could be determined. "
-            f"{analysis.missing[0]} Run without --out to print all reasons"
+            f"{analysis.missing[0]} For all reasons run the command without --out"
         )
     if nothing and not console.is_quiet():
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
@@ -261,8 +264,8 @@ def export(
         options["missing_bands"] = missing_bands
     elif missing_bands != "refuse":
         raise DataError(
-            f"--missing-bands has no effect for {program}, whose list has the bands of the "
-            "room: leave it out"
+            f"--missing-bands has no effect for {program}, because its list is written "
+            "with the bands of the room. Leave --missing-bands out"
         )
     options["entries"] = console.texts("--as", entries, "MATERIAL=ENTRY")
     if template is None:
@@ -328,7 +331,7 @@ def example(name: str, out: Path | None) -> None:
     targets = {into / file: content for file, content in project.files.items()}
     if present := [path for path in targets if path.exists()]:
         raise DataError(
-            f"{present[0]} exists, and `rtcal example` does not overwrite files: give "
+            f"{present[0]} exists, and `rtcal example` does not overwrite files. Give "
             "another folder with --out"
         )
     write_all(targets, into)

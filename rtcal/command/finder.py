@@ -42,7 +42,10 @@ SEEDS = (0, 1, 2)
 _OF_POSITIONS = ("match", "exclude", "scattering", "paths")
 _OF_MEANS = ("prior", "most", "program")
 _OF_RUN = ("simulated", "at", "program")
-_NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
+_NEEDS_POSITIONS = (
+    " needs positions: a room with [sources] and [receivers], and a measurement with a row for each "
+    "pair"
+)
 _ENDINGS = (".csv", ".json", ".toml")
 """Endings of the files that rtcal reads, which no folder of `apply` has."""
 
@@ -76,16 +79,22 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     if _is_case(options):
         if kind_of(path) == "a room" and before is None:
             raise DataError(
-                f"{path} is a room: MEASURED is missing, or --t20 or --t30 of `rtcal find`"
+                f"{path} is a room, and the measurement is missing. Give the file MEASURED "
+                "after it, or --t20 or --t30 of `rtcal find`"
             )
         if before is not None:
             raise DataError(
-                "--before needs a room and the measurement after the change: ROOM AFTER --before BEFORE"
+                "--before needs a room and the measurement after the change, in the order "
+                "ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
-        above = f'belongs into {path}, above its [[configuration]]: program = "geometrical"'
-        refuse(stated(options, "program"), f" {above}")
-        refuse(stated(options, *_OF_RUN), f" belongs into {path}, into its [[configuration]]")
+        with_case = f" cannot be given with a case: write it into {path}, "
+        above = 'as program = "geometrical", above its [[configuration]]'
+        refuse(stated(options, "program"), f"{with_case}{above}")
+        refuse(
+            stated(options, *_OF_RUN),
+            f" cannot be given with a case: write it into {path}, below [[configuration]]",
+        )
         case = Case.from_file(path)
         spare(targets, files_of(options))
         return case
@@ -106,7 +115,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
         at_positions = at_positions and not more["before"].is_summary
         every = (*_OF_POSITIONS, *_OF_MEANS, *_OF_RUN, "scheduler")
         others = [n for n in every if n != "scattering"]
-        refuse(stated(options, *others), " is not of what changed between two states")
+        refuse(stated(options, *others), " cannot be given with --before: leave it out")
     run = console.read_run(room, options.get("simulated"), options.get("at"))
     if not at_positions:
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
@@ -115,8 +124,8 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
         return case_of(room, measured, **more)
     refuse(
         stated(options, *_OF_MEANS),
-        ": with positions there is no such option. Take it with means: a room without [sources] and "
-        "[receivers]",
+        " cannot be used with positions: leave it out, or search with means, with a room "
+        "without [sources] and [receivers]",
     )
     if before is None:
         more |= stated(options, "match") | {
@@ -218,8 +227,8 @@ def saved(path: str) -> tuple[Any, Any]:
         return result, None
     kind = result.record_kind.rstrip(" 0123456789")
     raise DataError(
-        f"{path} holds the result of another command ({kind}), not of `rtcal find`. Write one "
-        "with `rtcal find room.toml t.csv --out found`"
+        f"{path} is the result of another command ({kind}), but a finding is needed. Make "
+        "one with `rtcal find room.toml t.csv --out found`"
     )
 
 
@@ -434,10 +443,14 @@ def verify(
     finding, verification = saved(found)
     if before is not None or after is not None:
         if finding.kind != "states":
-            raise DataError("--before and --after can be used only with a finding of two states")
+            raise DataError(
+                "--before and --after can be used only with a finding of `rtcal find "
+                "--before`: leave them out"
+            )
         if before is None or after is None:
             raise DataError(
-                "--before and --after must be given together, with the same pairs in both states"
+                "only one of --before and --after is given: give both, with the same "
+                "source-receiver pairs"
             )
         measured: Any = {
             "before": console.read_measured(before),
@@ -525,10 +538,10 @@ def apply(found: str, out: str, **options: Any) -> None:
     finding, verification = saved(found)
     target = Path(out)
     if target.is_file() or target.suffix in _ENDINGS:
-        what = "is a file" if target.is_file() else "has the ending of a file"
+        what = "is a file" if target.is_file() else "is the name of a file"
         raise DataError(
-            f"--out {out} {what}, but results are written to a folder: --out "
-            f"{target.with_suffix('')}"
+            f"--out {out} {what}, but the results need a folder. Give a folder, such as "
+            f"--out {target.with_suffix('')}"
         )
     with console.errors_name_options("effect", "at", "form"):
         said, record, files = of_finding.correct(finding, target, verification, **options)

@@ -208,7 +208,9 @@ def _imported(
     chosen = console.texts("--catalogue", in_catalogue, "NAME=ENTRY")
     renamed = console.texts("--as", entries, "MATERIAL=ENTRY")
     if both := [name for name in renamed if name in chosen]:
-        raise DataError(f'"{both[0]}" is in --as and in --catalogue; leave one of them out')
+        raise DataError(
+            f'the material "{both[0]}" is given in --as and in --catalogue; leave one of them out'
+        )
     place = "--area" if mesh is None else mesh
     own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
@@ -218,7 +220,10 @@ def _imported(
     rule = SigmaRule(**stated)
     sigma = {} if sigma_table is None else read_sigma(sigma_table)
     if unknown := [name for name in sigma if name not in used]:
-        raise DataError(f'{sigma_table}: "{unknown[0]}" is not a material of the room')
+        raise DataError(
+            f'{sigma_table}: "{unknown[0]}" is not a material of the room, which has '
+            f"{shortened(', '.join(used), 200)}"
+        )
     room = listed.room(
         name=Path(mesh or materials or out).stem if name is None else name,
         volume=volume,
@@ -292,7 +297,7 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
     has its holes, too. ``options`` are those of `rtcal.io.mesh.room`.
     """
     if as_drawn and leaks:
-        raise DataError("--open and --leaks are both given: a mesh is taken in one way")
+        raise DataError("--open and --leaks are both given; leave one of them out")
     from rtcal.io import mesh as meshes
     from rtcal.io.mend import MeshError
     from rtcal.report import figures
@@ -316,14 +321,14 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
                 return _leaking(error.unclosed, error.leaking, chords)
             refused = str(error)
             if leaks and chords is not None:
-                refused += f". --leaks: {chords}; holes this large are refused"
+                refused += f". --leaks cannot be used, because the holes are too large: {chords}"
             elif takes_paths:
-                refused += f". {str(chords)[:1].upper()}{str(chords)[1:]}: --leaks takes it"
+                refused += f". To use the mesh with its holes, add --leaks: {chords}"
             elif error.unclosed is not None:
                 v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
                 refused += (
-                    f". Estimated with rays, the volume is {rounded(v, 4)} ± {rounded(u, 2)} m³: "
-                    "`rtcal import --open` uses it, but then only the reverberation equations are "
+                    f". Rays estimate a volume of {rounded(v, 4)} ± {rounded(u, 2)} m³. "
+                    "--open uses this volume, but then only reverberation equations are "
                     "available, and no path tracing"
                 )
             if picture is not None:
@@ -374,8 +379,9 @@ def _check_leaks(room: Room, model: Mended) -> None:
     if mean.min() < chords.least_alpha:
         band = room.centre_frequencies[mean.argmin()]
         raise DataError(
-            f"--leaks: {chords}, but it is {mean.min():.2g} at {band:g} Hz. Close the holes, or use "
-            "only reverberation equations with --open"
+            f"--leaks: {chords}, but the mean absorption coefficient is {mean.min():.2g} "
+            f"at {band:g} Hz. Close the holes, or use only reverberation equations with "
+            "--open"
         )
 
 
@@ -383,8 +389,8 @@ def _closed(model: Mended) -> Polyhedron:
     """Return the geometry that is written as the mended mesh; DataError without one."""
     if model.geometry is None:
         raise DataError(
-            "--mended cannot be used with --open, which takes the mesh as it is: leave one of "
-            "them out"
+            "--mended and --open are both given, but --open does not repair the mesh; "
+            "leave one of them out"
         )
     return model.geometry
 
@@ -413,11 +419,11 @@ def _volume_and_surfaces(
         raise DataError("--open can be used only with --mesh: add --mesh, or leave --open out")
     if volume is None or not areas:
         raise DataError(
-            "the size of the room is missing: give --mesh room.obj, or --volume M3 and --area "
-            "MATERIAL=M2 for each of its materials. The list has: "
+            "the size of the room is missing. Give --mesh room.obj; or give --volume M3, "
+            "and --area MATERIAL=M2 for each material. The list has the materials "
             f"{shortened(', '.join(names), 200)}"
         )
-    stated = console.numbers("--area", areas, "NAME=M2")
+    stated = console.numbers("--area", areas, "MATERIAL=M2")
     return volume, [Surface(name, name, area) for name, area in stated.items()]
 
 
@@ -487,8 +493,8 @@ def _entries(
 
     if unknown := [name for name in stated if name not in used]:
         raise DataError(
-            f'{option}: "{unknown[0]}" is not a material of the room; {place} has '
-            f"{shortened(', '.join(used), 200)}"
+            f'{option}: "{unknown[0]}" is not a material of the room. {place} has the '
+            f"materials {shortened(', '.join(used), 200)}"
         )
     found = {}
     for name, entry in stated.items():
@@ -497,8 +503,9 @@ def _entries(
         except DataError as error:
             why = shortened(str(error), 300)
             if option == "--catalogue":
-                near = "; ".join(catalogue.nearest(entry)) or "none of its entries"
-                why = f'"{entry}" is not a material of the catalogue; similar: {near}'
+                near = "; ".join(catalogue.nearest(entry))
+                near = f"Similar entries: {near}" if near else "`rtcal materials` lists its entries"
+                why = f'"{entry}" is not a material of the catalogue. {near}'
             raise DataError(f'{option} "{name}={entry}": {why}') from error
     return found
 
@@ -521,7 +528,8 @@ def _require_all(
                 name, 3
             )
         near = near or [
-            f'no entry: --catalogue "{name}=carpet" lists the entries that are similar to carpet'
+            "no entry. For the entries that are similar to carpet, give --catalogue "
+            f'"{name}=carpet"'
         ]
         lines.append(f'\n- "{name}" is similar to {"; ".join(near)}')
     if len(missing) > _DESCRIBED:

@@ -98,7 +98,8 @@ def predict(
     before = console.read_room(room) if known is None else getattr(known, "prior", None)
     if before is None:
         raise DataError(
-            f"{room} is not a folder that `rtcal calibrate --out` or `rtcal fit --out` wrote"
+            f"{room} is not the result of a calibration. Give a folder that `rtcal "
+            "calibrate --out` or `rtcal fit --out` wrote"
         )
     variants, target = read_changes(
         change,
@@ -108,15 +109,16 @@ def predict(
     run = console.read_run(before, simulated, at)
     if run is None and any(v.simulated is not None for v in variants):
         raise DataError(
-            f"{change} has simulated, what a program gave after a change: give what it gave before "
-            "with --simulated"
+            f"{change} has simulated, the program's result after a change, but its result "
+            "before the change is missing. Add it with --simulated"
         )
     if run is not None and (
         isinstance(known, PositionsResult) or (known is None and measured is None)
     ):
         raise DataError(
-            "--simulated needs the measured T before the change, which the program's ratio multiplies: "
-            "add MEASURED, or give a folder of `rtcal calibrate`"
+            "--simulated needs the measured T before the change, because it is multiplied "
+            "by the program's ratio of T. Add MEASURED, or give a folder of `rtcal "
+            "calibrate`"
         )
     if not isinstance(known, PositionsResult):
         if known is None and (measured is not None or also):
@@ -126,14 +128,15 @@ def predict(
             return
         if before.scene.sources and not console.is_quiet():
             console.warn(
-                "T is predicted by an equation; the folder of `rtcal fit` predicts every position"
+                "T is predicted by an equation. To predict every position, give a folder "
+                "of `rtcal fit` instead"
             )
         told(predict_variants(known, variants, target=target, run=run), out)
         return
     if target is not None:
         raise DataError(
-            f"{change}: a target needs T from an equation, but {room} is a result of `rtcal "
-            "fit`: leave the target out, or use a folder of `rtcal calibrate`"
+            f"{change}: a target needs T from an equation, but {room} is a result of "
+            "`rtcal fit`. Leave the target out, or give a folder of `rtcal calibrate`"
         )
     with console.control_bar() as progress:
         at_positions = predict_positions(
@@ -153,7 +156,8 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
         return None
     if measured is not None or also:
         raise DataError(
-            f"{room} is a folder whose calibration already holds the measured T: leave MEASURED out"
+            f"MEASURED is given, but the calibration in the folder {room} has its own "
+            "measured T. Leave MEASURED out"
         )
     found: Result = load(room)
     return found
@@ -188,7 +192,8 @@ def calibrated(
     for i, each in enumerate(given):
         if each in given[:i]:
             raise DataError(
-                f"--also {' '.join(also[i - 1])}: this measurement is given twice; leave one out"
+                f"--also {' '.join(also[i - 1])}: this measurement is also given elsewhere "
+                "in the command; leave one of them out"
             )
     every = [each.name for each in rooms]
     names = [
@@ -237,7 +242,10 @@ def design(
     result: Any = saved(room, measured, also)
     result = result or calibrated(console.read_room(room), measured, also, equation)
     if not isinstance(result, CalibrationResult):
-        raise DataError(f"{room} is not a folder that `rtcal calibrate --out` wrote")
+        raise DataError(
+            f"{room} is not the result of `rtcal calibrate`. Give a folder that `rtcal "
+            "calibrate --out` wrote"
+        )
     stated, target, in_file = read_changes(
         treatments,
         "a file of treatments",

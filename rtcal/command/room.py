@@ -113,7 +113,10 @@ def room(
     needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)))
     needed = needed if times else (*needed, "out")
     if missing := [f"--{name}" for name in needed if not stated[name]]:
-        raise DataError(f"missing: {', '.join(missing)}. With --ask you are asked for all of it")
+        raise DataError(
+            f"{', '.join(missing)} {'are' if missing[1:] else 'is'} missing. Add "
+            f"{'them' if missing[1:] else 'it'}, or use --ask to be asked for each value"
+        )
     out = stated["out"]
     spare([] if out is None else [out], [])
     console.fit_ending("--out", out, ".toml")
@@ -179,9 +182,9 @@ def _made(
     if audience is not None:
         if audience >= size[0] * size[1]:
             raise DataError(
-                f"--audience: {audience} persons take 1 m² each, and the floor has "
-                f"{size[0] * size[1]:.4g} m²; for a floor full of people give the material, such as "
-                "--floor audience_wooden_chairs_2_m2"
+                f"--audience: {audience} persons need 1 m² each, but the floor has only "
+                f"{size[0] * size[1]:.4g} m². For a floor full of people give its "
+                "material, such as --floor audience_wooden_chairs_2_m2"
             )
         patches.append(("floor", materials.add("audience", "audience"), float(audience)))
         materials.notes.append(
@@ -252,7 +255,9 @@ class _Materials:
         for f in self.bands:
             alpha = by_band.get(f)
             if alpha is None:
-                raise DataError(f"{place}: alpha at {f:g} Hz is missing")
+                raise DataError(
+                    f"{place}: alpha at {f:g} Hz is missing; give alpha for every band of the room"
+                )
             if not 0 <= alpha <= 1:
                 percent = checks.IN_PERCENT if 2 < alpha <= 100 else ""
                 raise DataError(
@@ -277,8 +282,9 @@ class _Materials:
         near = catalogue.similar(name, 1 + _OTHERS)
         if not near:
             raise DataError(
-                f'{place}: "{shown(name)}" is like no material of the catalogue; give another name, '
-                'or alpha by band in its place, "0.1 0.2 0.3 0.3 0.4 0.4"'
+                f'{place}: the catalogue has no material like "{shown(name)}". Give '
+                'another name, or alpha by band instead, such as "0.1 0.2 0.3 0.3 0.4 '
+                '0.4"'
             )
         others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
         self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")
@@ -308,7 +314,8 @@ def materials(names: tuple[str, ...]) -> None:
         free = [piece for name in names for piece in catalogue.similar(name, among=described)]
     if not (chosen or free):
         raise DataError(
-            f'the catalogue has nothing like "{shown(" ".join(names))}"; `rtcal materials` lists it all'
+            f'the catalogue has no material like "{shown(" ".join(names))}". `rtcal '
+            "materials` lists all entries"
         )
     listed = [entries[name] for name in dict.fromkeys(chosen)]
     pieces = [catalogue.piece(name, 1, of_octaves) for name in dict.fromkeys(free)]
@@ -341,7 +348,9 @@ def _sides(text: str) -> tuple[tuple[float, float, float], float]:
     try:
         return units.sides(text)
     except DataError as error:
-        raise DataError(f"--dimensions {error}; a box is 9,7,3 or 30x20x10 ft") from error
+        raise DataError(
+            f"--dimensions {error}. Give three sides, such as 9,7,3 or 30x20x10 ft"
+        ) from error
 
 
 def _piece(text: str) -> tuple[str, float, str]:
@@ -349,13 +358,15 @@ def _piece(text: str) -> tuple[str, float, str]:
     place, _, rest = text.partition("=")
     area, _, material = rest.partition(":")
     if not (place.strip() and area.strip() and material.strip()):
-        raise DataError(f'"{text}" is not {_PIECE}, such as west=4.5:glazing')
+        raise DataError(f'"{text}" must have the form {_PIECE}, such as west=4.5:glazing')
     in_feet = re.fullmatch(r"(.*?)\s*(?:ft2|ft²|sq\.? ?ft)\s*", area)
     bare = in_feet[1] if in_feet else re.sub(r"\s*(m2|m²|sqm|qm)\s*$", "", area)
     try:
         (stated,) = numbers(bare, [1], text)
     except DataError as error:
-        raise DataError(f"{error}; a piece is {_PIECE}, such as west=4.5:glazing") from error
+        raise DataError(
+            f"{error}. A piece has the form {_PIECE}, such as west=4.5:glazing"
+        ) from error
     checks.positive(f"{text}: area", stated, "m²")
     return place.strip(), stated * (0.3048**2 if in_feet else 1.0), material
 

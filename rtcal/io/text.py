@@ -129,7 +129,7 @@ def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
     if len(values) not in counts:
         wanted = " or ".join(map(str, sorted(counts)))
         n = f"{len(values)} number{'s' * (len(values) > 1)}"
-        raise DataError(f'{place}: "{shown(text)}" has {n}, and not {wanted}')
+        raise DataError(f'{place}: "{shown(text)}" has {n}, but must have {wanted}')
     return values
 
 

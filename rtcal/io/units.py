@@ -86,10 +86,14 @@ def sides(text: str) -> tuple[tuple[float, float, float], float]:
     plain = _FEET_AND_INCHES.sub(lambda m: f"{float(m[1]) + float(m[2]) / 12:.10g}'", plain)
     units = {_WRITTEN[unit] for unit in re.findall(_UNIT, plain)}
     if len(units) > 1:
-        raise DataError(f'"{shown(text)}" has sides in several units; write all in one')
+        raise DataError(
+            f'"{shown(text)}" has sides in different units; write all sides in one unit'
+        )
     bare = re.sub(_UNIT, " ", plain)
     if word := _WORD.search(bare):
-        raise DataError(f'"{shown(word[0])}" is neither a number nor m, cm, mm, ft or in')
+        raise DataError(
+            f'"{shown(word[0])}" is neither a number nor one of the units m, cm, mm, ft and in'
+        )
     unit = units.pop() if units else 1.0
     x, y, z = (
         checks.positive("side", round(side * unit, 9), "m") for side in numbers(bare, [3], "sides")

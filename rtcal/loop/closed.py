@@ -758,7 +758,8 @@ class Loop(Result):
         """
         if self.after is not None:
             raise DataError(
-                "the loop is finished and its end was simulated; there is nothing left to simulate"
+                "the loop is finished and its last room was simulated; there is nothing "
+                "left to simulate"
             )
         lost = self._lost(simulated)
         for band in checks.listed("without_t20", without_t20):
@@ -801,16 +802,18 @@ class Loop(Result):
         checks.instance("what was simulated", simulation, Measurement)
         if not np.array_equal(simulation.centre_frequencies, frequencies):
             raise DataError(
-                f"the simulation has {span(simulation.centre_frequencies)}; the room has "
-                f"{span(frequencies)}"
+                f"the simulation has {span(simulation.centre_frequencies)}, but the room "
+                f"has {span(frequencies)}. Simulate in the bands of the room"
             )
         simulation = self.matched.of(simulation)
         measured, missing = np.isfinite(self.wanted), {}
         for parameter, share in self.matched.shares.items():
             if parameter not in simulation.values:
                 raise DataError(
-                    f"the simulation has no {self.matched.name_of(parameter)}, which was measured; it "
-                    f"has {contents(simulation)}"
+                    f"the simulation has no {self.matched.name_of(parameter)}, but "
+                    f"{self.matched.name_of(parameter)} was measured. The simulation has "
+                    f"{contents(simulation)}. Export {self.matched.name_of(parameter)} "
+                    "from your program, too"
                 )
             missing[parameter] = np.isnan(simulation.values[parameter]) & measured & (share > 0)
         lost = np.any([absent.any(axis=0) for absent in missing.values()], axis=0)
@@ -818,16 +821,18 @@ class Loop(Result):
         refused = lost if lost[measured].all() else lost & ~earlier
         for parameter, absent in missing.items():
             for pair, k in np.argwhere(absent & refused)[:1].tolist():
+                of = "" if simulation.is_summary else f"{' to '.join(simulation.pairs[pair])}, "
                 raise DataError(
-                    f"simulated {parameter_label(parameter)}[{' to '.join(simulation.pairs[pair])}, "
-                    f"{label(frequencies[k])}] is missing, but T was measured there"
+                    f"simulated {parameter_label(parameter)} at "
+                    f"{of}{label(frequencies[k])} is missing, but T was measured there. "
+                    "Simulate this band, too"
                 )
         return np.asarray(lost)
 
     def back(self) -> Loop:
         """Return the loop without its last simulation; raises DataError if it has none."""
         if not self.steps:
-            raise DataError("the loop has no simulation yet that could be taken back")
+            raise DataError("the loop has no simulation yet, so there is no step to take back")
         steps = self.steps if self.after is not None else self.steps[:-1]
         number = self.simulations - 1
         return replace(self, steps=steps, returned=None, after=None, simulations=number)
@@ -841,11 +846,15 @@ class Loop(Result):
         """
         loop = load(path)
         if not isinstance(loop, Loop):
-            raise DataError(f"{path} is not the state of a loop: it holds a {type(loop).__name__}")
+            raise DataError(
+                f"{path} is not the state of a loop, but a {type(loop).__name__}. Give the "
+                "file that `rtcal loop start` wrote"
+            )
         own = loop.low.prior if loop.low else loop.prior
         if room is not None and _numbers(room) != _numbers(own):
             raise DataError(
-                f'{path} belongs to another room, or room "{room.name}" was changed since'
+                f'{path} belongs to another room, or room "{room.name}" was changed after '
+                "the loop was started. Give the room with which the loop was started"
             )
         return loop if room is None or loop.low else replace(loop, prior=room)
 
@@ -1282,8 +1291,8 @@ def refuse_progress(state: str) -> None:
     """Raise DataError if the loop's file at this path already holds simulations."""
     if Path(state).exists() and (n := len(Loop.load(state).steps)):
         raise DataError(
-            f"{state} holds {n} simulation{'s' * (n > 1)} of a loop: delete it to start again, "
-            "or give another file with --state"
+            f"{state} already has {n} simulation{'s' * (n > 1)} of a loop. To start again, "
+            "delete this file, or give another file with --state"
         )
 
 
@@ -1305,22 +1314,24 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
         doubt = marks[0].sentence
     elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
         doubt = (
-            "every T20 equals the measured T20 to the last digit. Is this table the measurement "
-            "instead of the simulation?"
+            "every simulated T20 equals the measured T20 to the last digit. Probably this "
+            "table is the measurement, and not the simulation"
         )
     elif same:
         step_is = "the last run" if same[-1] == len(loop.steps) else f"run {same[-1]}"
         doubt = (
-            f"its values equal those of {step_is}, although the coefficients are others now. Was the "
-            "room simulated that `rtcal loop` wrote last?"
+            f"the values equal those of {step_is}, although the coefficients have changed "
+            "since. Probably an older room was simulated: simulate the one that `rtcal "
+            "loop` wrote last"
         )
     elif last is not None and not loop.follows(step, last):
         doubt = (
-            "its T is about that of the last run, although the coefficients are others now. Was the "
-            "room simulated that `rtcal loop` wrote last, and with its coefficients?"
+            "T is about the same as in the last run, although the coefficients have "
+            "changed since. Check that the program used the room that `rtcal loop` wrote "
+            "last, with its coefficients"
         )
     if doubt:
-        raise DataError(f"{table}: {doubt} If the table is right, add --again")
+        raise DataError(f"{table}: {as_sentence(doubt)} If the table is right, add --again")
 
 
 def record(
@@ -1334,8 +1345,9 @@ def record(
     """
     if loop.after is not None:
         raise DataError(
-            f"{state}: the loop is finished and its end was simulated, so {table} was not used. "
-            f"The coefficients are in {out}; `rtcal report` shows how they changed"
+            f"{state}: the loop is finished and its last room was simulated, so {table} "
+            f"was not used. The coefficients are in {out}; `rtcal report {state}` shows "
+            "how they changed"
         )
     alpha, written = loop.next_alpha, None
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
@@ -1345,10 +1357,11 @@ def record(
         if loop.steps:
             anew = "`rtcal loop back`, and then `rtcal loop next` with the table before,"
         raise DataError(
-            f"{table} was not read: the coefficients in {out} are not those that {state} needs to be "
-            f"simulated, because one of the two files was changed. If {table} was simulated with the "
-            f"right coefficients, delete {out} and repeat the command. Otherwise {anew} writes the "
-            "right ones"
+            f"{table} was not read, because {out} no longer has the coefficients that "
+            f"{state} asked to be simulated: one of the two files was changed. If {table} "
+            f"was simulated with the right coefficients, delete {out} and repeat the "
+            f"command. Otherwise {anew} writes the right coefficients, to be simulated "
+            "again"
         )
     try:
         after = loop.record(alpha, simulated)
