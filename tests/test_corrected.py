@@ -182,11 +182,11 @@ def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) ->
     effect, said = {  # both are those of a box that is 3.6 m high
         "volume": (
             AppliedEffect("volume", {"ratio": 1.2}),
-            "volume: the finding has 126 m³, the simulator's geometry 105 m³; draw the geometry again",
+            "volume: the finding needs 126 m³, but the simulator's geometry has 105 m³",
         ),
         "area": (
             AppliedEffect("area", {"material": float(walls), "ratio": 121.4 / 107}),
-            'area of "walls": the finding has 121.4 m², the simulator\'s geometry 107 m²; draw',
+            'area of "walls": the finding needs 121.4 m², but the simulator\'s geometry has 107 m²',
         ),
     }[changed]
     case = replace(case, applied=[effect])

@@ -238,7 +238,7 @@ def test_a_room_file_names_a_balloon_and_the_simulator_reads_it(tmp_path):
     ("change", "said"),
     [
         (("<CLF1>", "<CLF3>"), "begins with '<CLF3>'; CLF text must begin with <CLF1> or <CLF2>"),
-        (("<CLF1>", "<CF1>\0"), "CF1, CF2 and GLL are closed formats"),
+        (("<CLF1>", "<CF1>\0"), "CF1, CF2 and GLL cannot be read"),
         (("<VERSION>\t1", "<RADIATION>\t<halfsphere>"), "<RADIATION> is 'halfsphere'"),
         (("<VERSION>\t1", "<BALLOON-SYMMETRY>\t<vertical>"), "<BALLOON-SYMMETRY> is 'vertical'"),
         (("<VERSION>\t1", "<BALLOON-SYMMETRY>\t<full>"), "36 arcs; a balloon of the symmetry full"),

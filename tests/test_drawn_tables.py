@@ -203,9 +203,9 @@ def test_no_reading_and_no_proposal_gives_another_value(
 
 OF_REFUSALS = {
     "columns": r'columns="([^"]*)"',
-    "parameter": r'parameter="(\w+)", for instance',
+    "parameter": r'for instance with parameter="(\w+)"',
     "decay_time": r'decay_time="(\w+)"',
-    "sheets": r'only sheets="([^"]+)"',
+    "sheets": r'use sheets="([^"]+)"',
     "repeats": r"repeats=(True)",
     "where": r'where=\{"([^"]+)": "([^"]+)"\}',
 }

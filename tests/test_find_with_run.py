@@ -420,7 +420,9 @@ def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(
     first = absorber.case.configurations[0]
     weak = {name: 0.2 * p for name, p in absorber.probabilities.items()}
     unsure = replace(absorber, probabilities=weak)
-    with pytest.raises(DataError, match="effect is missing: name the one that the second run"):
+    with pytest.raises(
+        DataError, match="effect is missing: name the effect that the second simulation"
+    ):
         verify(unsure, simulated=first.measured)
     assert verify(unsure, simulated=first.measured, effect=absorber.names[0]).effect == "opening"
     drawn = {p: 1.01 * v[0] for p, v in first.measured.values.items()}
@@ -526,7 +528,7 @@ def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
     assert np.isnan(fewer.again[..., 0]).all()
     assert not np.isnan(fewer.again[..., 1:]).any()
     with pytest.raises(
-        DataError, match="simulated has no T20, which was measured; it has only EDT"
+        DataError, match="simulated has no T20, but T20 was measured; simulated has only EDT"
     ):
         verify(absorber, simulated=run("edt", "c80"))
     first = absorber.case.configurations[0].simulated

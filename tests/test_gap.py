@@ -110,7 +110,9 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
     )
     stated = Case.from_file(str(tmp_path / "case.toml"))
     assert read_case({"case": room, "measured": measured}).to_dict() == stated.to_dict()
-    with pytest.raises(rt.errors.DataError, match="--paths needs a room that states its sources"):
+    with pytest.raises(
+        rt.errors.DataError, match=r"--paths needs positions: a room with \[sources\]"
+    ):
         run("find", room, measured, "--paths", "100")
 
 

@@ -288,7 +288,9 @@ def test_a_file_that_lost_its_end_or_its_quiet_sound_is_in_doubt(tmp_path: Path)
     flac = tmp_path / "S1-R2.flac"
     soundfile.write(flac, 0.9 * straight(0.5, 8000), 8000)
     flac.write_bytes(flac.read_bytes()[: flac.stat().st_size // 2])
-    with pytest.raises(DataError, match=r"S1-R2\.flac: cannot be read as sound: it is damaged"):
+    with pytest.raises(
+        DataError, match=r"S1-R2\.flac: this file cannot be read as sound, because it is damaged"
+    ):
         ir.read(flac, bands=[1000])
     lossy = tmp_path / "S1-R3.ogg"
     soundfile.write(lossy, 0.9 * straight(0.5, 8000), 8000, format="OGG", subtype="VORBIS")
@@ -401,12 +403,12 @@ def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
     mono = wav(0.9 * both.ravel(), 16000)
     path = tmp_path / "S1_R1.wav"
     path.write_bytes(mono[:22] + struct.pack("<HIIH", 2, 16000, 64000, 4) + mono[34:])
-    with pytest.raises(DataError, match=r"S1_R1.wav: 2 channels; state which one"):
+    with pytest.raises(DataError, match=r"S1_R1.wav: the file has 2 channels. Choose one"):
         ir.read(path, bands=[1000])
     first = ir.read(path, bands=[1000], channels=1)
     assert first.measurement.pairs == (("S1", "R1"),)
     assert first.measurement.mean("t20") == pytest.approx(0.5, rel=0.25)
-    with pytest.raises(DataError, match="2 channels; there is no channel 3"):
+    with pytest.raises(DataError, match="channel 3 does not exist; the file has 2 channels"):
         ir.read(path, bands=[1000], channels=3)
     with pytest.raises(DataError, match='channels = "left" must be a number'):
         ir.read(path, bands=[1000], channels="left")

@@ -84,7 +84,7 @@ def simulate(tmp_path, factor=1.4):
     [
         ({"t20": [1.4, 1.7, np.nan, 1.9, 1.7, 1.5]}, "500 Hz"),
         ({"t20": [1, 1, 1]}, "3 bands"),
-        ({"edt": [1.0] * 6}, "no T30, which was measured; it has EDT"),
+        ({"edt": [1.0] * 6}, "no T30, but T30 was measured. The simulation has EDT"),
         ({"t20": [1000.0] * 6}, "line 2: T20 = 1000 s"),
         ({"t20": [0.0014] * 6}, "line 2: T20 = 0.0014 s"),
     ],

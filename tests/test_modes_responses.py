@@ -126,7 +126,7 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
         signals = np.roll(signals, int(0.02 * RATE), axis=1)
     else:
         _, signals = heard(sides=(6.4, 3.7, 2.9))
-    with pytest.raises(DataError, match="check dimensions, positions"):
+    with pytest.raises(DataError, match="Check dimensions, positions"):
         find_modes(room, signals, RATE, PAIRS, highest=100)
 
 

@@ -264,13 +264,17 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         ("1000", "0", 'line 3: band = "0" must be a frequency above 0'),
         ("1000", "500", "line 3: T20 of S1, R1 at 500 Hz is given twice"),
         ("S1,R1,T20,1000", 'S1,"R1,T20,1000', "line 3: not a line of comma-separated values"),
-        ("S1,R1,T20,1000,0.8", "S1,R1", "line 3: 2 cells; the header has 5"),
+        ("S1,R1,T20,1000,0.8", "S1,R1", "line 3: this row has 2 cells, but the header has 5"),
         ("S1,R1,T20,1000", "S\0,R1,T20,1000", "a name must not have control characters"),
     ],
     "case.toml": [
         ('"room.toml"', '" "', "no such file"),
         ('"room.toml"', '"none.toml"', "none.toml: no such file"),
-        ('room = "room.toml"', 'geometry = {}\nroom = "room.toml"', "a case file has no geometry"),
+        (
+            'room = "room.toml"',
+            'geometry = {}\nroom = "room.toml"',
+            "a case file cannot contain a geometry",
+        ),
         ('"sabine"', '"norris"', "equation"),
         ("equation", "equatoin", 'an unknown key, "equatoin"; did you mean "equation"?'),
         *(

@@ -75,7 +75,9 @@ def test_spherical_positions(tmp_path: Path) -> None:
 
 def test_equal_positions_are_repeats_and_must_be_stated(tmp_path: Path) -> None:
     path = file(tmp_path / "a.sofa", ListenerPosition=[[2.0, 3.0, 1.2]] * 2)
-    with pytest.raises(DataError, match="source S1, receiver R1 is given twice; if it is a repeat"):
+    with pytest.raises(
+        DataError, match=r"source S1, receiver R1 is given twice\. If it is a repeat"
+    ):
         impulse_responses.read(path)
     m = impulse_responses.read(path, bands=[1000], repeats=True).measurement
     assert m.pairs == (("S1", "R1"),)

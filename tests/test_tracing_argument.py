@@ -32,13 +32,15 @@ def test_it_is_refused_elsewhere_and_why_is_true(scene) -> None:
     room, of_pairs, mean = scene
     bare = room.replace(scene=type(room.scene)())
     simulator = rt.finder.case_of(room, of_pairs, tracing=TRACING)
-    needs = "^tracing needs a room that states its sources and receivers, measured pair by pair"
+    needs = (
+        "^tracing needs positions: a room with sources and receivers, and a measurement with values"
+    )
     for stated, measured in ((room, mean), (bare, of_pairs), (bare, mean)):
         for before in (None, measured):
             with pytest.raises(DataError, match=needs) as refused:
                 rt.find(stated, measured, before=before, tracing=TRACING)
             assert ("before and after" in str(refused.value)) == (before is not None)
-    with pytest.raises(DataError, match=r"^tracing is not used when a simulator is given"):
+    with pytest.raises(DataError, match=r"^tracing and simulator are both given"):
         rt.find(room, of_pairs, simulator.simulator, tracing=TRACING)
-    with pytest.raises(DataError, match="tracing are arguments for a room"):
+    with pytest.raises(DataError, match="tracing cannot be given with a case"):
         rt.find(simulator, tracing=TRACING)

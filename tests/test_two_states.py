@@ -119,7 +119,7 @@ def test_pairs_that_one_state_lacks_are_left_out_and_said() -> None:
 def test_states_without_a_common_pair_are_refused() -> None:
     before = measured(times(), 1)
     other = replace(before, pairs=[(f"T{i}", "R1") for i in range(6)])
-    with pytest.raises(rt.errors.DataError, match="no source and receiver in common"):
+    with pytest.raises(rt.errors.DataError, match="no source-receiver pair in common"):
         StatesCase(room=room(), before=before, after=other)
     edt, shorter = (rt.Measurement.from_values(BANDS, edt=f * times()) for f in (1.0, 0.9))
     with pytest.raises(rt.errors.DataError, match="T20 or T30"):
@@ -150,7 +150,7 @@ def test_each_half_of_the_pairs_predicts_the_other(panels: Finding, many: Findin
     with pytest.raises(rt.errors.DataError, match="4 are needed"):
         rt.finder.verify(few)
     same = rt.find(case.room, measured(times(), 9), before=case.before)
-    with pytest.raises(rt.errors.DataError, match="no change to verify"):
+    with pytest.raises(rt.errors.DataError, match="no change was found that can be verified"):
         rt.finder.verify(same)
 
 
@@ -170,7 +170,7 @@ def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: Finding) ->
     other = rt.finder.verify(earlier, before=case.after, after=case.before)
     assert other.verdict == "withdrawn"
     with pytest.raises(
-        rt.errors.DataError, match="0 pairs of before and after are not among the 4"
+        rt.errors.DataError, match="before and after have 0 pairs that were not fitted"
     ):
         rt.finder.verify(earlier, before=case.before.select(some), after=case.after)
     with pytest.raises(rt.errors.DataError, match="after is missing"):

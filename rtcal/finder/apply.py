@@ -123,12 +123,15 @@ class Corrected:
             return self.model if make is None else self.model.spread_over(make)
         if make is not None:
             raise DataError(
-                "make is used only for means over positions; this case has a simulator: leave "
-                "make out"
+                "make can be used only with means over positions, but this case has a "
+                "simulator: leave make out"
             )
         tracer = None if isinstance(self.case, Case) else self.case.simulator
         if self.geometry is None or tracer is None:
-            raise DataError("no surface is identified, because the room has no geometry")
+            raise DataError(
+                "no surface can be identified, because the room has no geometry; give the "
+                "room's file a [geometry]"
+            )
         scattering = self.room.scattering
         return replace(tracer, room=self.room, geometry=self.geometry, scattering=scattering)
 
@@ -337,13 +340,15 @@ class CaseModel(RoomSimulator):
             )
         if tuple(inner.materials) != tuple(room.materials):
             raise DataError(
-                f"{inner.name} has the materials {', '.join(inner.materials)}; it must have "
-                f"those of the case, {', '.join(room.materials)}"
+                f"{inner.name}, which make returned, has the materials "
+                f"{', '.join(inner.materials)}; it must have those of the case, "
+                f"{', '.join(room.materials)}"
             )
         if not np.array_equal(inner.centre_frequencies, room.centre_frequencies):
             raise DataError(
-                f"{inner.name} has {bands.span(inner.centre_frequencies)}; it must have those of "
-                f"the case, {bands.span(room.centre_frequencies)}"
+                f"{inner.name}, which make returned, has "
+                f"{bands.span(inner.centre_frequencies)}; it must have those of the case, "
+                f"{bands.span(room.centre_frequencies)}"
             )
         if (geometry := getattr(inner, "geometry", None)) is not None:
             # An area, or the volume, that the finding has changed.
@@ -356,8 +361,9 @@ class CaseModel(RoomSimulator):
             for what, one, other, drawn, unit in sizes:
                 if one != other and abs(drawn - other) > _OFF_GEOMETRY * other:
                     raise DataError(
-                        f"{what}: the finding has {other:.4g} {unit}, the simulator's geometry "
-                        f"{drawn:.4g} {unit}; draw the geometry again"
+                        f"{what}: the finding needs {other:.4g} {unit}, but the "
+                        f"simulator's geometry has {drawn:.4g} {unit}. Draw the geometry "
+                        "with the finding's value"
                     )
         return replace(self, inner=inner)
 
@@ -590,14 +596,11 @@ def corrected_geometry(
     if form not in ("patch", "material"):
         raise DataError(f'form = "{form}" must be "patch" or "material"')
     if added.surface is None:
-        raise DataError(
-            f"{added.title} is not on a surface, so it cannot be added to one: leave form and at "
-            "out"
-        )
+        raise DataError(f"{added.title} is not on a surface: leave form and at out")
     if form == "material" and at is not None:
         raise DataError(
-            'at is the centre of a patch, but form = "material" changes the whole surface: leave '
-            "one of them out"
+            'at and form = "material" are both given: at is the centre of a patch, and '
+            'form = "material" changes the whole surface. Leave one of them out'
         )
     room, faces = case.room, case.faces[added.surface]
     name = new_name(room.materials, f"{added.effect} on {added.surface}")

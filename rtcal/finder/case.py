@@ -103,7 +103,8 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
         raise DataError(
-            f"climate_uncertainty = {value!r} must be two numbers of 0 or more: K, and % of humidity"
+            f"climate_uncertainty = {value!r} must be two numbers of 0 or more: the "
+            "uncertainty of the temperature in K and that of the humidity in %"
         )
     kelvin, percent = climate.tolist()
     return kelvin, percent
@@ -267,15 +268,16 @@ class Configuration:
         if table.parameters is not None:
             if table.measured is not None:
                 raise DataError(
-                    f"{where}: measured and parameters are both given; leave parameters out "
-                    "if it was measured, or measured if it is only planned"
+                    f"{where}: measured and parameters are both given. If the "
+                    "configuration was measured, leave parameters out; if it is only "
+                    "planned, leave measured out"
                 )
             wanted, n = table.parameters, 4 if table.positions is None else table.positions
             fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
             if not fits or len(set(wanted)) < len(wanted):
                 raise DataError(
-                    f"{where}: parameters must be a list of {', '.join(PARAMETERS)}, t20 in it, "
-                    "each once"
+                    f"{where}: parameters must be a list with t20; it may also have "
+                    f"{', '.join(p for p in PARAMETERS if p != 't20')}, each once"
                 )
             if not 1 <= n <= MAX_POSITIONS:
                 raise DataError(f"{where}: positions = {n} must be from 1 to {MAX_POSITIONS}")
@@ -288,9 +290,14 @@ class Configuration:
                 uncertainty={p: u * values for p, u in kinds.items()},
             )
         elif table.positions is not None:
-            raise DataError(f"{where}: positions is used only without a measurement; leave it out")
+            raise DataError(
+                f"{where}: positions can be given only for a planned configuration, and "
+                "this one was measured: leave positions out"
+            )
         elif table.measured is None:
-            raise DataError(f"{where}: measured is missing; give the file of a measurement")
+            raise DataError(
+                f"{where}: measured is missing; give the name of a file with the measurement"
+            )
         else:
             measured = _read(where, table.measured, room, folder)
         added = dict(measured.uncertainty)
@@ -302,8 +309,8 @@ class Configuration:
         run = None
         if table.simulated is None and table.at is not None:
             raise DataError(
-                f"{where}: at, the coefficients of a simulation, is given without simulated: add "
-                "that simulation"
+                f"{where}: at gives the coefficients of a simulation, but the simulation "
+                "is missing; add simulated"
             )
         if table.simulated is not None:
             try:
@@ -391,12 +398,13 @@ class Configuration:
             # A convex room of volume V and surface S is at most S²/(3 pi V) long, as a double cone is.
             # Three times that is allowed, since the stated area or volume may be wrong.
             longest = room.total_area**2 / (np.pi * room.volume)
-            rule = "the longest that a room of this volume and area can be"
+            rule = "the largest length of a room with this volume and area"
             if room.dimensions is not None:
                 longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
             if (most := self.distances.max()) > longest:
                 raise DataError(
-                    f"{where}: distances has {most:g} m; it may be at most {longest:.3g} m, {rule}"
+                    f"{where}: distances has {most:g} m, but at most {longest:.3g} m is "
+                    f"possible, {rule}"
                 )
         for name in PARAMETERS:
             kind, values = observable(name), measured.values.get(name, np.zeros((0, 0)))
@@ -408,8 +416,8 @@ class Configuration:
                 if name not in LEVEL_LIMITS:
                     kind.refuse(place, values[i, k])
                 raise DataError(
-                    f"{place} = {values[i, k]:g} dB must be from {least:g} to {most:g} dB, which "
-                    "no room exceeds"
+                    f"{place} = {values[i, k]:g} dB must be from {least:g} to {most:g} dB, "
+                    "the range in rooms"
                 )
         return replace(self, measured=measured, **made)
 
@@ -604,8 +612,8 @@ class Case:
                 np.array_equal(a, b, equal_nan=True) for a, b in both
             ):
                 raise DataError(
-                    f'one measurement is given twice, in the configurations "{one.name}" and '
-                    f'"{other.name}"; leave one out, because its values would count twice'
+                    f'the configurations "{one.name}" and "{other.name}" have the same '
+                    "measurement, whose values would count twice; leave one of them out"
                 )
         if self.room.calibration is None:
             return
@@ -638,7 +646,9 @@ def _checked_facing(room: Room, stated: Any) -> Array:
     array = checks.shaped("facing", stated, room.n_materials, 3)
     total = array.sum(1, keepdims=True)
     if np.isinf(array).any() or (array < 0).any() or (total <= 0).any():
-        raise DataError("facing must have no value below 0 and no row that sums to 0")
+        raise DataError(
+            "facing must have values of 0 or more, and at least one above 0 for each material"
+        )
     # Shares from a file already sum to 1; a further division would change their last digit.
     return np.where(np.abs(total - 1) < 1e-12, array, array / total)
 
@@ -678,9 +688,9 @@ def _table(content: Mapping[str, Any]) -> CaseTable:
     content = checks.mapped("case", content)
     if "geometry" in content:
         raise DataError(
-            "a case file has no geometry: write [geometry] with mesh, [sources] and [receivers] "
-            "into the room's file, and give that room and the measurement, as in room.toml "
-            "pairs.csv"
+            "a case file cannot contain a geometry. Write [geometry] with mesh, [sources] "
+            "and [receivers] into the room's file, and give that room and the "
+            "measurement instead of the case: room.toml pairs.csv"
         )
     return read(CaseTable, content)
 
@@ -749,9 +759,9 @@ class PositionsCase:
             put(name, values)
             if values.is_summary:
                 raise DataError(
-                    f"{name} has means over pairs; locating an effect needs a row for each "
-                    "source and receiver. Without a geometry, rtcal.finder uses means and "
-                    "reports what is missing but not where"
+                    f"{name} has means over pairs, but to locate an effect, values for "
+                    "each source and receiver are needed. With means, search without the "
+                    "geometry: rtcal then reports what is missing, but not where"
                 )
         refuse_unknown(self.exclude, self.measured)
         absent = () if self.simulated is None else self._leave_out(self.simulated, put)
@@ -759,8 +769,9 @@ class PositionsCase:
         put("notes", tuple(dict.fromkeys(notes)))
         if history(self.room):
             raise DataError(
-                f'room "{self.room.name}" is already calibrated, so its coefficients hide what '
-                "the model misses. Use the room as it was before the calibration"
+                f'room "{self.room.name}" is already calibrated, and calibrated '
+                "coefficients hide what is missing from the model. Use the room as it "
+                "was before the calibration"
             )
         if not self.room.sigma.any():
             raise DataError(
@@ -774,8 +785,8 @@ class PositionsCase:
         whole, frequencies = self.measured, self.room.centre_frequencies
         if not np.array_equal(run.centre_frequencies, frequencies):
             raise DataError(
-                f"simulated has {bands.span(run.centre_frequencies)}; the room has "
-                f"{bands.span(frequencies)}"
+                f"simulated has {bands.span(run.centre_frequencies)}, but the room has "
+                f"{bands.span(frequencies)}. Simulate in the bands of the room"
             )
         both = Run(self.room, run).beside(whole, by_pair=True)
         keys = {name: observable(name).key_in(whole.values) for name in self.match}
@@ -948,9 +959,15 @@ class StatesCase:
         if self.simulator is not None:
             checks.instance("simulator", self.simulator, PathTracing)
             if self.simulator.room is not self.room:
-                raise DataError("simulator was made for another room; make it with this one")
+                raise DataError(
+                    "simulator was made with another room; make it with the room that is given"
+                )
             if lacking := [p for p in self.pairs if p not in self.simulator.pairs]:
-                raise DataError(f"simulator has no {' to '.join(lacking[0])}, which was measured")
+                raise DataError(
+                    f"the pair {' to '.join(lacking[0])} was measured, but the simulator "
+                    "does not have it; add it to the simulator, or leave it out of the "
+                    "measurement"
+                )
 
     def _compare_pairs(self, put: Callable[[str, object], None]) -> list[str]:
         """Set ``states``; return notes on bands and pairs that one lacks."""
@@ -965,8 +982,9 @@ class StatesCase:
                 for m in two.values()
             )
             raise DataError(
-                "before and after have no source and receiver in common; two configurations must "
-                f"be measured at the same positions, but these are {' and '.join(each)}"
+                "before and after have no source-receiver pair in common: they have "
+                f"{' and '.join(each)}. Measure both at the same positions, and name these "
+                "alike"
             )
         put("states", tuple(m.select(pairs) for m in states.values()))
         of_bands = {n: "; ".join(notes_of_bands(self.room, m)) for n, m in two.items()}
@@ -1115,12 +1133,16 @@ def case_of(
     if before is not None:
         of_pairs &= not checks.instance("before", before, Measurement).is_summary
     if simulator is not None and simulator.room is not room:
-        raise DataError("simulator was made for another room; make it with this one")
+        raise DataError("simulator was made with another room; make it with the room that is given")
     if simulator is not None and tracing:
         raise DataError(
-            "tracing is not used when a simulator is given: give these arguments to the simulator"
+            "tracing and simulator are both given: leave tracing out, and make the "
+            "simulator with these arguments"
         )
-    needs = "needs a room that states its sources and receivers, measured pair by pair"
+    needs = (
+        "needs positions: a room with sources and receivers, and a measurement with values for each "
+        "pair"
+    )
     of_scene: dict[str, Any] = {}
     if simulator is None and of_pairs and room.scene.sources:
         if room.pieces:
@@ -1151,15 +1173,16 @@ def case_of(
     if simulator is not None and of_pairs:
         if program:
             raise DataError(
-                "program can be used only with means; at positions rtcal traces the room itself: "
-                "leave program out"
+                "program can be used only with means over positions; for this measurement "
+                "rtcal traces the room itself: leave program out"
             )
         if simulated is not None:
             simulated.refuse_other(room)
             if not np.array_equal(simulated.room.alpha, room.alpha):
                 raise DataError(
-                    "at positions, the simulation must have the room's own coefficients: leave "
-                    "at out"
+                    "this measurement has positions, so the simulation must have the "
+                    "room's own coefficients. Leave at out, and simulate with the "
+                    "coefficients of the room"
                 )
             stated["simulated"] = simulated.simulated
         return PositionsCase(simulator=simulator, measured=measured, **{**of_scene, **stated})

@@ -463,8 +463,9 @@ class Detection:
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise ModelError(
-                    f"the ln Bayes factor for a model other than the input ({name}) is {value}, "
-                    "which is not finite: check the uncertainties of coefficients and measurement"
+                    f"the odds of {name} cannot be calculated: the ln Bayes factor is "
+                    f"{value}. Check the uncertainties of the coefficients and of the "
+                    "measurement"
                 )
 
     @property

@@ -1130,8 +1130,8 @@ def _check(place: str, effect: Any) -> None:
             raise DataError(f"{place} = {effect!r}: {name} = {text!r} must be a text of one line")
     if effect.name in ("none", "unknown"):
         raise DataError(
-            f'{place}: name = "{effect.name}" is the name of a verdict; give the effect another '
-            "name"
+            f'{place}: name = "{effect.name}" is already the name of a verdict; give the '
+            "effect another name"
         )
     where = f'effect "{effect.name}"'
     checks.number(f"{where}: neutral", effect.neutral)
@@ -1142,12 +1142,12 @@ def _check(place: str, effect: Any) -> None:
         checks.instance(f"{where}: parameters[{name!r}]", of, Parameter)
     for kind in checks.listed(f"{where}: stands_on", effect.stands_on):
         if kind not in SURFACES:
-            raise DataError(
-                f"{where}: stands_on has {kind!r}, which is none of {', '.join(SURFACES)}"
-            )
+            raise DataError(f"{where}: stands_on has {kind!r}; it may have {', '.join(SURFACES)}")
     for share in checks.listed(f"{where}: shares", effect.shares):
         if not 0 < checks.number(f"{where}: shares", share) <= 1:
-            raise DataError(f"{where}: shares has {share:g}, but must be above 0 and at most 1")
+            raise DataError(
+                f"{where}: shares has {share:g}; every share must be above 0 and at most 1"
+            )
 
 
 IN_RUN = "a geometrical program computes none"
@@ -1168,7 +1168,9 @@ def judged_effects(
     tried = tuple(e for e in effects if e.name not in lacking)
     if not tried:
         whys = "; ".join(dict.fromkeys(lacking.values()))
-        raise DataError(f"{', '.join(lacking)} cannot be searched for: {whys}")
+        raise DataError(
+            f"rtcal cannot search for {', '.join(lacking)}, and no other effect is left: {whys}"
+        )
     return tried, lacking
 
 
@@ -1193,7 +1195,9 @@ def checked_grid(
         raise DataError(f"{where} is empty; give at least one set of parameters")
     names = set(checks.mapped(where, grid[0]))
     if effect.size not in names:
-        raise DataError(f'{where} has no "{effect.size}", the parameter that is the effect\'s size')
+        raise DataError(
+            f'{where}: the parameter "{effect.size}", the effect\'s size, is missing; add it'
+        )
     for theta in grid:
         if not isinstance(theta, Mapping) or set(theta) != names:
             raise DataError(
@@ -1287,7 +1291,10 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
             continue
         of_shape, n_bands = f'effect "{effect.name}": shape', len(after.frequencies)
         if not callable(shape):
-            raise DataError(f"{of_shape} = {shape!r} does not turn a state into a Decay")
+            raise DataError(
+                f"{of_shape} = {shape!r} must be a function that takes a RoomState and "
+                "returns a Decay"
+            )
         decay = _run(of_shape, partial(shape, after))
         if not isinstance(decay, Decay):
             raise DataError(f"{of_shape} returns {type(decay).__name__}; it must return a Decay")

@@ -244,7 +244,10 @@ def left_out_of(
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
         if unlisted := [n for n in names if n not in possible]:
-            raise DataError(f'{place} has "{unlisted[0]}", which is none of {", ".join(possible)}')
+            raise DataError(
+                f'{place} has "{unlisted[0]}", which is not an effect of this search. '
+                f"Possible: {', '.join(possible)}"
+            )
     left = set(named["without"])
     if named["only"]:
         left |= {*possible} - {*named["only"], *in_any_case}
@@ -253,7 +256,7 @@ def left_out_of(
     return tuple(sorted(left))
 
 
-NONE_LEFT = "only and without leave no effect to try"
+NONE_LEFT = "no effect is left to search for; name other effects in only, or fewer in without"
 
 
 def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -> Array:

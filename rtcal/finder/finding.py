@@ -519,7 +519,10 @@ class Finding(Result):
                 surface = surface_at(self.case, at)
                 every = [c for c in every if c.surface == surface]
                 if not every:
-                    raise DataError(f'at is on "{surface}", but nothing was found on this surface')
+                    raise DataError(
+                        f'at is on "{surface}", but nothing was found there; give a point '
+                        "on another surface, or leave at out"
+                    )
             best = next((c for c in every if effect in (None, c.effect)), None)
             if best is None:
                 named = listed([*dict.fromkeys(c.effect for c in every)], last="or")
@@ -533,7 +536,7 @@ class Finding(Result):
         Raises DataError as `apply` does.
         """
         if not self.can_be_added:
-            raise DataError(f'the verdict is "{self.verdict}", so there is no effect to add')
+            raise DataError(f'nothing was found that can be added (verdict "{self.verdict}")')
         found = self.candidate(effect)
         fitted = found is not None and (found.parameters or found.coefficients is not None)
         if effect is not None and not fitted:

@@ -115,8 +115,8 @@ def find(
         case = case_of(room, measured, simulator, before, tracing=tracing, **more)
     elif any(of is not None for of in (measured, simulator, before, tracing, simulated)) or program:
         raise DataError(
-            "measured, before, simulated, program, simulator and tracing are arguments for a "
-            "room; a case contains them already: leave them out"
+            "measured, before, simulated, program, simulator and tracing cannot be given "
+            "with a case, which contains its measurements: leave them out"
         )
     else:
         case = room

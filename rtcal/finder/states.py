@@ -517,8 +517,8 @@ def find(
     of_library = checked_effects(effects)
     if not adding(of_library):
         raise DataError(
-            "none of the effects adds absorption, which is the only change that can be found "
-            "between two configurations"
+            "between two measurements only a change of absorption can be found, but none "
+            "of the effects adds absorption; name other effects"
         )
     left_out = left_out_of(only, without, tried(of_library), [UNKNOWN])
     room, where, degrees = case.room, case.known, OF_MEANS if case.of_means else DEGREES

@@ -447,16 +447,17 @@ def _of_means(
 ) -> Verification:
     """Compare the model with and without the best effect, or another one."""
     if not finding.can_be_added:
-        raise DataError(f'the verdict is "{finding.verdict}", so there is no effect to add')
+        raise DataError(f'nothing was found that can be verified (verdict "{finding.verdict}")')
     if simulated is not None and effect is None and finding.undecided is not None:
         raise DataError(
-            f"effect is missing: name the one that the second run contains. {finding.undecided}"
+            "effect is missing: name the effect that the second simulation contains. "
+            f"{finding.undecided}"
         )
     (name, *others) = finding.members if effect is None else finding.chosen(effect)
     if others:
         raise DataError(
-            f"{len(finding.members)} effects were found together, but only one can be verified: "
-            "search with most = 1"
+            f"{len(finding.members)} effects were found together, but only one can be "
+            "verified. Search for a single effect with most = 1"
         )
     own: Case = finding.case
     case = own if case is None else case
@@ -469,7 +470,8 @@ def _of_means(
         )
     if simulated is None and calibrated is not None:
         raise DataError(
-            "calibrated is compared with a simulation of the corrected model: add that as simulated"
+            "calibrated is given without simulated: add the simulation of the corrected "
+            "model as simulated"
         )
     runs = [
         None if of is None else _second_run(case, of, corrected=of is simulated)
@@ -621,8 +623,8 @@ def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array
     first = case.configurations[0]
     if first.simulated is None:
         raise DataError(
-            "the finding was made without a simulation, so a second one cannot be compared: "
-            "search with simulated first"
+            "the finding was made without a simulation, with which this one could be "
+            "compared. Search with simulated first"
         )
     run = Run(first.simulated.room, simulated).beside(first.measured).run
     out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
@@ -630,15 +632,15 @@ def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array
     time, of = first.measured.time_label, "simulated" if corrected else "calibrated"
     if run.time_label != time or np.isnan(out[0, _T20]).all():
         has = ", ".join(map(parameter_label, simulated.values))
-        raise DataError(f"{of} has no {time}, which was measured; it has only {has}")
+        raise DataError(f"{of} has no {time}, but {time} was measured; {of} has only {has}")
     one = first.simulated.beside(first.measured).run
     if corrected and all(
         p in one.values and np.array_equal(one.values[p], run.values[p], equal_nan=True)
         for p in run.values
     ):
         raise DataError(
-            "simulated: this is the first simulation again; give a simulation of the corrected "
-            "model"
+            "simulated is the same simulation as that of the search; give a simulation of "
+            "the corrected model"
         )
     return out
 
@@ -768,8 +770,9 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
 def _check_pairs(pairs: Sequence[object]) -> None:
     if len(pairs) < LEAST_PAIRS:
         raise DataError(
-            f"the measurement has {len(pairs)} source-receiver pair{'s' * (len(pairs) != 1)}; at "
-            f"least {LEAST_PAIRS} are needed, because half of them must predict the others"
+            f"the measurement has {len(pairs)} source-receiver "
+            f"pair{'s' * (len(pairs) != 1)}, but a verification needs at least "
+            f"{LEAST_PAIRS}, because half of them must predict the others"
         )
 
 
@@ -967,25 +970,29 @@ def _of_states(
     case: StatesCase = finding.case
     found = held = case
     if not finding.detected:
-        raise DataError(f'the verdict is "{finding.verdict}", so there is no change to verify')
+        raise DataError(f'no change was found that can be verified (verdict "{finding.verdict}")')
     if (before is None) != (after is None):
         lacking = "before" if before is None else "after"
         raise DataError(
-            f"{lacking} is missing: a change is verified with measurements before and after"
+            f"{lacking} is missing: give the measurements of further pairs both before and "
+            "after the change"
         )
     if before is not None and after is not None:
         if seed:
             raise DataError(
-                "seed is used only where halves of the pairs predict each other; this "
-                "finding predicts further pairs: leave seed out"
+                "seed cannot be given with before and after, which are the pairs to "
+                "predict: leave seed out"
             )
         if case.of_means or before.is_summary or after.is_summary:
-            raise DataError("means over positions have no further pairs: leave further pairs out")
+            raise DataError(
+                "before and after cannot be used with means over positions, which have no "
+                "single pairs: leave them out"
+            )
         new = [p for p in before.pairs if p in after.pairs and p not in case.pairs]
         if len(new) < _LEAST_NEW:
             raise DataError(
-                f"{len(new)} pairs of before and after are not among the {len(case.pairs)} that were "
-                f"fitted; {_LEAST_NEW} are needed"
+                f"before and after have {len(new)} pairs that were not fitted, and at "
+                f"least {_LEAST_NEW} are needed; measure further pairs"
             )
         held, fitted = _of_pairs(replace(case, before=before, after=after), new), "the other pairs"
         predicted = np.broadcast_to(finding.shift, held.change.shape)

@@ -85,8 +85,9 @@ def read(
     least = float(made.gains[:, 0].mean(axis=1).min())
     if least < 10 ** (-_LEAST_INDEX / 10):
         raise DataError(
-            f"{place}: the energy on the axis is {least:.2g} times the mean over the sphere, so "
-            "the source does not radiate along the file's axis; check the orientation of the file"
+            f"{place}: the energy on the axis is only {least:.2g} times the mean over the "
+            "sphere, so the source does not radiate along the file's axis. Check the "
+            "orientation of the balloon in the file"
         )
     return made
 
@@ -148,8 +149,8 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
     content = read_bytes(place, MAX_TEXT)
     if b"\0" in content[:64]:
         raise DataError(
-            f"{place}: is neither SOFA nor CLF text. CF1, CF2 and GLL are closed formats; ask "
-            "the manufacturer for CLF text or SOFA"
+            f"{place}: this file is neither SOFA nor CLF text. The formats CF1, CF2 and "
+            "GLL cannot be read; ask the manufacturer for CLF text or SOFA"
         )
     rows = [
         [cell.strip() for cell in line.split("\t")]
@@ -246,5 +247,5 @@ def _energy(rows: Sequence[Sequence[str]], begin: int, step: int, place: str) ->
 def _number(token: str, place: str, most: float = _MOST_DB) -> float:
     value = text.number(token.replace(",", "."), place)
     if not abs(value) <= most:
-        raise DataError(f"{place}: {text.shown(token)} is beyond {most:g}")
+        raise DataError(f"{place}: {text.shown(token)} must be from -{most:g} to {most:g}")
     return value

@@ -29,7 +29,7 @@ def require(number: float, most: float, of: str, path: str, remedy: str = "") ->
     """Raise DataError if a file declares more of something than the budget has."""
     if number > most:
         advice = f": {remedy}" if remedy else ""
-        raise DataError(f"{path}: has {number:.0f} {of}; at most {most:.0f} are read{advice}")
+        raise DataError(f"{path}: has {number:.0f} {of}, but at most {most:.0f} are read{advice}")
 
 
 def members(content: bytes, path: str, kind: str) -> dict[str, int]:

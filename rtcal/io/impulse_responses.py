@@ -149,8 +149,8 @@ def responses_of(
             for name, response in _chosen(every, receiver, channels, os.fspath(file)):
                 if (source, name) in responses and not repeats:
                     raise DataError(
-                        f"{file}: source {source}, receiver {name} is given twice; if it is a "
-                        f"repeat, name it {source}-{name}#2, or use repeats=True"
+                        f"{file}: source {source}, receiver {name} is given twice. If it "
+                        f"is a repeat, name it {source}-{name}#2, or use repeats=True"
                     )
                 names = names_of_repeats(name)
                 name = next(n for n in names if (source, n) not in responses)
@@ -270,7 +270,9 @@ def _opened(path: str) -> Iterator[Any]:
     """Yield soundfile's object of a file; DataError, in own words, for what it cannot read."""
     soundfile = library("sound files need soundfile: pip install 'rtcal[measurement]'", "soundfile")
     if not Path(path).is_file():
-        raise DataError(f"{path}: {'not a file' if Path(path).exists() else 'no such file'}")
+        raise DataError(
+            f"{path}: {'this is not a file' if Path(path).exists() else 'no such file or folder'}"
+        )
     try:
         # As a stream, since the content and not the name shows the format.
         with open(path, "rb") as stream, soundfile.SoundFile(stream) as file:
@@ -278,8 +280,9 @@ def _opened(path: str) -> Iterator[Any]:
     except soundfile.SoundFileError as error:
         with expecting(RESPONSE, path):
             raise DataError(
-                f"{path}: cannot be read as sound: it is damaged, or in none of the formats of "
-                "soundfile (WAV, RF64, W64, AIFF, CAF, FLAC and others). Export it as WAV or FLAC"
+                f"{path}: this file cannot be read as sound, because it is damaged or has "
+                "another format (WAV, FLAC, AIFF, CAF, W64 and RF64 can be read). Export "
+                "it as WAV or FLAC"
             ) from error
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or error}") from error
@@ -341,7 +344,10 @@ def _samples(path: str, n: int, channel: int) -> Array:
             samples[position : position + len(block)] = block
             position += len(block)
     if position < n:
-        raise DataError(f"{path}: it ends after {position} of the {n} samples that it states")
+        raise DataError(
+            f"{path}: the file is cut off: it has {position} of the {n} samples that its "
+            "header gives. Export or copy it again"
+        )
     return samples
 
 
@@ -367,12 +373,14 @@ def _chosen(
         return [(receiver, every[0])]
     if channels is None:
         raise DataError(
-            f"{place}: {n_channels} channels; state which one to read (channels=1), or that each "
-            'is a receiver (channels="receivers")'
+            f"{place}: the file has {n_channels} channels. Choose one of them, such as "
+            'channels=1, or give channels="receivers" if each is a receiver'
         )
     number = checks.whole("channels", channels, 1)
     if number > n_channels:
-        raise DataError(f"{place}: {n_channels} channels; there is no channel {number}")
+        raise DataError(
+            f"{place}: channel {number} does not exist; the file has {n_channels} channels"
+        )
     return [(receiver, every[number - 1])]
 
 

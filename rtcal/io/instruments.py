@@ -142,7 +142,9 @@ def _cells(line: str, columns: Sequence[str], place: str) -> list[str]:
     while len(cells) > n and not cells[-1]:
         cells = cells[:-1]
     if len(cells) != n:
-        raise DataError(f"{place}: {len(cells)} cells, but REW's format line names {n} columns")
+        raise DataError(
+            f"{place}: this row has {len(cells)} cells, but REW's format line names {n} columns"
+        )
     return [
         "" if column.endswith("(s)") and re.fullmatch(r"0+(?:[.,]0*)?", cell) else cell
         for column, cell in zip(columns, cells, strict=True)

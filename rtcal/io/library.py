@@ -157,11 +157,11 @@ def _stated_table(sheet: Sheet, columns: str, otherwise: str) -> _Table:
     rows = [row for row in sheet.rows if row[0] in lines]
     if short := [n for n, cells in rows if len(cells) != len(made)]:
         raise DataError(
-            f"{sheet.place}, line {short[0]}: the row does not have {len(made)} cells, the "
-            "number that columns gives"
+            f"{sheet.place}, line {short[0]}: this row must have {len(made)} cells, as "
+            "many as columns gives"
         )
     if not rows:
-        raise DataError(f"{sheet.place}: these lines have no row with a value")
+        raise DataError(f"{sheet.place}: the lines that columns gives have no row with a value")
     at, left_out = [k for k, column in enumerate(made) if column.kind == "product"], list[str]()
     if at:
         rows, left_out = _rows_of_products(sheet.place, rows, at[0], otherwise)
@@ -449,8 +449,8 @@ def _material(
         share = scale * number(text.replace(",", ".") if text.count(",") == 1 else text, where)
         if not 0 <= share <= LARGEST and not doubt:
             raise DataError(
-                f"{where}: {share:g} must be from 0 to {LARGEST:g}; if it is in percent, write % "
-                'in the header, as in "250 Hz [%]"'
+                f"{where}: {share:g} must be from 0 to {LARGEST:g}. If it is in percent, "
+                'write % in the header, as in "250 Hz [%]"'
             )
         if share > 1:
             above.append(f"{share:.2f} at {bands.label(frequency)}")

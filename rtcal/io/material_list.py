@@ -233,12 +233,12 @@ class MaterialList:
             raise DataError(doubts[0])
         if not used:
             raise DataError(
-                f"{self.path}: the areas are missing; a room needs at least one surface"
+                f"{self.path}: no areas are given; a room needs the area of at least one material"
             )
         if centre_frequencies is None:
             common = set.intersection(*(set(m.centre_frequencies) for m in used.values()))
             if not common:
-                raise DataError(f"{self.path}: the materials of the room have no band in common")
+                raise DataError(f"{self.path}: no band is common to all materials of the room")
             centre_frequencies = sorted(common)
         wanted = bands.as_bands(centre_frequencies)
         all_scatter = all(m.scattering is not None or scattering is not None for m in used.values())
@@ -339,8 +339,9 @@ class MaterialList:
             before, first = asked.setdefault(span, (value, place))
             if before != value:
                 raise DataError(
-                    f"{place} = {value}, but {first} uses the same entry and has {before}: give "
-                    "one of them an entry of its own in the program"
+                    f"{place} = {value}, but {first} has {before}, and both are the same "
+                    "entry of the list: give one of them an entry of its own in the "
+                    "program"
                 )
             if characters is not None:
                 written[span] = characters
@@ -386,7 +387,9 @@ class MaterialList:
         room_as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
         shared = [f for f in room.centre_frequencies if f in common]
         if not shared:
-            raise DataError(f"{self.path}: its materials have none of the room's bands in common")
+            raise DataError(
+                f"{self.path}: no band of the room is common to all materials of the list"
+            )
         if len(shared) < room.n_bands:
             room_as_read = room_as_read.in_bands(shared)
         pieces, position = [], 0
@@ -428,7 +431,7 @@ def coefficients(
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:
             hint = above_one_hint(coefficient(value, unit)) if name == "alpha" else ""
-            instead = f"; in this list write {1 / unit:g}" if hint else ""
+            instead = f". In this list write {1 / unit:g} for it" if hint else ""
             raise DataError(
                 f"{place}: {name} {value:g} must be from 0 to {1 / unit:g}{hint}{instead}"
             )
@@ -873,8 +876,8 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
         second = _list_of_octaves(of_scattering, offset, place, " of L, the scattering")
         if len(second) != len(row):
             raise DataError(
-                f"{place}: {len(row)} absorption and {len(second)} scattering values; give as "
-                "many of both"
+                f"{place}: {len(row)} absorption values, but {len(second)} scattering "
+                "values; give the same number of both"
             )
     material = ListedMaterial.of(
         name,
@@ -1088,8 +1091,8 @@ def _parse_pyroomacoustics(content: bytes, path: str = "JSON file") -> MaterialL
         shorter = "center_freqs" not in entry and len(row) < len(frequencies)
         if len(row) != len(frequencies) and not shorter:
             raise DataError(
-                f"{place}: {len(row)} coefficients for {len(frequencies)} center_freqs; give as "
-                "many of both"
+                f"{place}: {len(row)} coefficients, but {len(frequencies)} center_freqs; "
+                "give the same number of both"
             )
         name, its = keys[-1] if keys else "material", frequencies[: len(row)].tolist()
         found[of_scattering].append(ListedMaterial.of(name, line, place, its, row))
@@ -1182,7 +1185,7 @@ def _parse_bras(
     ]
     if not rows:
         raise DataError(
-            f"{path}, line 1: the file is empty; its first line must have the frequencies or the "
+            f"{path}, line 1: this line is empty; it must have the frequencies, or the "
             "names of columns"
         )
     place, _, header = rows[0]
@@ -1204,8 +1207,8 @@ def _parse_bras(
         if len(row) != len(frequencies):
             numbers(row, place)
             raise DataError(
-                f"{place}: {len(row)} values for {len(frequencies)} frequencies; give as many of "
-                "both"
+                f"{place}: {len(row)} values, but {len(frequencies)} frequencies; give the "
+                "same number of both"
             )
     (place, line, row), scatters = rows[1], rows[2][2] if len(rows) > 2 else None
     material = ListedMaterial.of(
@@ -1243,7 +1246,9 @@ def _of_bras_table(
     materials = []
     for place, line, cells in rows[1:]:
         if len(cells) != len(header):
-            raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
+            raise DataError(
+                f"{place}: this row has {len(cells)} cells, but the header has {len(header)}"
+            )
         if any(cells[names.index(column)][0] != entry for column, entry in where.items()):
             continue
         row, name = [cells[i] for i in columns], cells[names.index("material")][0]
@@ -1287,7 +1292,7 @@ def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float
     sigma: dict[str, ListedMaterial | float] = {}
     for where, cells in rows[1:]:
         if len(cells) != 2:
-            raise DataError(f"{where}: {len(cells)} cells; the header has 2")
+            raise DataError(f"{where}: this row has {len(cells)} cells, but the header has 2")
         if cells[0] in sigma:
             raise DataError(f'{where}: "{cells[0]}" is given twice')
         sigma[cells[0]] = value = number(cells[1], where)

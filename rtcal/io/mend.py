@@ -757,7 +757,7 @@ _HOLE_SHARE = 0.01
 _NEAR = 0.2
 """Distance in m within which a hole's edge and another face are meant to meet."""
 _LOOPS = (
-    "close the hole with a face, or delete the faces at its edge if they are none of the room's"
+    "close the hole with a face, or delete the faces at its edge if they are not part of the room"
 )
 
 
@@ -796,8 +796,9 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     if loops is None:
         a, b = next(iter(missing))
         raise mend.refused(
-            f"{len(missing)} open edges, the first from {mend.place(a)} to {mend.place(b)}, do not "
-            f"bound a hole: faces are missing or cross each other there; {_LOOPS}",
+            f"the mesh has {len(missing)} open edges that do not bound a hole, the first "
+            f"from {mend.place(a)} to {mend.place(b)}: faces are missing there, or they "
+            f"cross each other; {_LOOPS}",
             missing,
         )
     if large:

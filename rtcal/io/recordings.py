@@ -29,6 +29,7 @@ from rtcal.io import impulse_responses as ir
 from rtcal.io.impulse_responses import Analysis, Floor, OfEnergy, Response
 from rtcal.io.tables import spread
 from rtcal.support.errors import DataError
+from rtcal.support.text import rounded
 from rtcal.support.types import Array, Paths
 
 __all__ = ["from_sweep", "interrupted"]
@@ -100,13 +101,16 @@ def from_sweep(
     excitation, name = given[0], os.fspath(sweep)
     played = np.trim_zeros(excitation.load(), "b")
     if not len(played):
-        raise DataError(f"{name}: the sweep that was played is silent: every sample is 0")
+        raise DataError(
+            f"{name}: the sweep is silent (every sample is 0); give the file that was played"
+        )
     recordings = ir.responses_of(path, channels, repeats, doubts)
     for each in recordings.values():
         if each.sampling_rate != excitation.sampling_rate:
             raise DataError(
-                f"{each.place}: a sampling rate of {each.sampling_rate:g} Hz, but that of the sweep "
-                f"{name} is {excitation.sampling_rate:g} Hz; convert one of them"
+                f"{each.place}: the sampling rate is {each.sampling_rate:g} Hz, but that "
+                f"of the sweep {name} is {excitation.sampling_rate:g} Hz. Convert one of "
+                "them"
             )
     rate = excitation.sampling_rate
     centres, fractions = ir.centres_of(bands, rate)
@@ -114,8 +118,9 @@ def from_sweep(
     if not excited.any() or not (isinstance(bands, str) or excited.all()):
         missing = float(centres[int(np.argmin(excited))])
         raise DataError(
-            f"{name}: the sweep has no energy in all of the band at {missing:g} Hz; it has from "
-            f"{ends[0]:.3g} to {ends[1]:.3g} Hz"
+            f"{name}: the sweep does not excite the whole band at {missing:g} Hz, but only "
+            f"{rounded(float(ends[0]), 3)} to {rounded(float(ends[1]), 3)} Hz. Leave this band out, or "
+            "use a sweep with a wider range"
         )
 
     def load(recording: Response) -> Array:
@@ -200,15 +205,15 @@ def impulse_response(
     """
     pyfar, _ = ir.libraries()
     if not np.any(recorded):
-        raise DataError(f"{place}: silent, every sample is 0; leave it out")
+        raise DataError(f"{place}: is silent (every sample is 0); leave it out")
     if len(recorded) <= len(played):
         raise DataError(
-            f"{place}: it lasts {len(recorded) / rate:.2f} s and the sweep {len(played) / rate:.2f} s: "
-            "a recording ends after the decay of the sweep's end. Is the sweep given as the recording, "
-            "or is it another sweep?"
+            f"{place}: the recording lasts {len(recorded) / rate:.2f} s, but the sweep "
+            f"{len(played) / rate:.2f} s; a recording must be longer than its sweep. Check "
+            "that sweep and recording are not exchanged, and that this sweep was played"
         )
     if _alike(recorded, played):
-        raise DataError(f"{place}: it is the sweep itself, not a recording of it in a room")
+        raise DataError(f"{place}: this is the sweep itself; give its recording in the room")
     n = len(recorded) + len(played)
     sweep, recording = (pyfar.Signal(np.pad(x, (0, n - len(x))), rate) for x in (played, recorded))
     inversion = pyfar.dsp.RegularizedSpectrumInversion.from_frequency_range(
@@ -221,25 +226,27 @@ def impulse_response(
     before, after = (energy[n // 2 + a : n // 2 + b].sum() for a, b in _sides(rate))
     if energy[n // 2] < _COMPACT**2 * energy.mean() or before > _CAUSAL * after:
         raise DataError(
-            f"{place}: the sweep is not found in it. Is it a recording of this sweep, and are sweep "
-            "and recording not exchanged?"
+            f"{place}: the sweep is not found in this recording. Check that this sweep was "
+            "played, and that sweep and recording are not exchanged"
         )
     if (apart := _onsets_apart(centred, rate, ends)) > _ONSETS:
         raise DataError(
-            f"{place}: the direct sound is {1000 * apart:.0f} ms later in one band than in another: "
-            "the sweep that was played is longer or shorter, or of another sampling rate. Give the "
-            "file that was played"
+            f"{place}: the direct sound is {1000 * apart:.0f} ms later in one band than in "
+            "another, so another sweep was played: a longer or shorter one, or one with "
+            "another sampling rate. Give the file that was played"
         )
     if peak >= len(recorded):
         raise DataError(
-            f"{place}: the direct sound is {(n - peak) / rate:.2f} s before the start: the recording "
-            "began after the sweep, or sweep and recording are exchanged. Record from before the sweep"
+            f"{place}: the direct sound lies {(n - peak) / rate:.2f} s before the start of "
+            "the recording. Start the recording before the sweep; check also that sweep "
+            "and recording are not exchanged"
         )
     left = len(recorded) - len(played) - peak
     if left < _LEAST_TAIL * rate:
         raise DataError(
-            f"{place}: it ends {max(left, 0) / rate:.2f} s after the sweep's last sound: record for as "
-            "long as the room reverberates"
+            f"{place}: the recording ends {max(left, 0) / rate:.2f} s after the end of the "
+            "sweep, before the room has decayed. Record until the reverberation has "
+            "ended"
         )
     return response[max(peak - int(_BEFORE * rate), 0) : peak + left]
 
@@ -346,8 +353,9 @@ def interrupted(
         rate = members[0].sampling_rate
         if other := next((m for m in members if m.sampling_rate != rate), None):
             raise DataError(
-                f"{other.place}: a sampling rate of {other.sampling_rate:g} Hz, but {members[0].place} "
-                f"of the same position has {rate:g} Hz"
+                f"{other.place}: the sampling rate is {other.sampling_rate:g} Hz, but that "
+                f"of {members[0].place}, at the same position, is {rate:g} Hz. Convert "
+                "one of them"
             )
         curves: list[list[Array]] = [[] for _ in centres]
         for recording in members:
@@ -363,8 +371,9 @@ def interrupted(
                 of_band += made
             if unsteady > _MOST_UNSTEADY * len(stops) * len(centres):
                 raise DataError(
-                    f"{recording.place}: the sound before its stop is no steady noise in most bands. A "
-                    "recorded sweep goes with --sweep, an impulse response without --interrupted"
+                    f"{recording.place}: in most bands the sound before its stop is not "
+                    "steady noise. For a recorded sweep give --sweep instead of "
+                    "--interrupted; for an impulse response leave --interrupted out"
                 )
             if progress is not None:
                 progress()
@@ -414,9 +423,10 @@ def stops_of(samples: Array, rate: float, place: str) -> list[Stop]:
     ]
     if not stops or level <= 0:
         raise DataError(
-            f"{place}: no stop is found of a noise that was steady for {_LEAST_ON:g} s and then fell "
-            f"by {10 * np.log10(_LEAST_FALL):.0f} dB. An impulse response goes without --interrupted, "
-            "a recorded sweep with --sweep"
+            f"{place}: no noise was found that is steady for {_LEAST_ON:g} s and then "
+            f"stops and falls by {10 * np.log10(_LEAST_FALL):.0f} dB. For a recorded "
+            "sweep give --sweep instead of --interrupted; for an impulse response leave "
+            "--interrupted out"
         )
     return stops
 

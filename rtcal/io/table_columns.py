@@ -375,13 +375,14 @@ def _of_values(header: str, parameter: str = "", band: float = np.nan, unit: str
 def wrong_unit(parameter: str, unit: str) -> str:
     """Return the message on a unit that a parameter cannot have."""
     label = parameter_label(parameter) if parameter != OPEN else "a decay time"
-    return f'{label} in "{shown(unit)}"; known are {", ".join(_scales(parameter))}'
+    units = ", ".join(_scales(parameter))
+    return f'{label} cannot have the unit "{shown(unit)}"; its units are {units}'
 
 
 def no_band(frequency: float) -> str:
     """Return the message on a frequency in Hz that is not the centre of a band."""
     in_khz = frequency < LEAST_BAND and nearest_band(1000 * frequency)
-    hint = '; if it is in kHz, call the column "band [kHz]"' * bool(in_khz)
+    hint = '. If it is in kHz, name the column "band [kHz]"' * bool(in_khz)
     return (
         f"{frequency:g} Hz is not the centre of an octave or one-third octave (IEC 61260-1){hint}"
     )

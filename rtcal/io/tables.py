@@ -318,7 +318,9 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
     if errors:
         names = dict.fromkeys(table.sheet.name for table in tables if table.sheet.name)
         only = " or ".join(f'sheets="{shown(name)}"' for name in names)
-        raise DataError(f"{errors[0]}; or read only {only}" if only else str(errors[0]))
+        raise DataError(
+            f"{errors[0]}. To read only the other sheets, use {only}" if only else str(errors[0])
+        )
     left_out = [f'"{shown(s.name)}"' for s in of_file if s not in chosen]
     if options.sheets or not left_out:
         return tables, []
@@ -334,8 +336,9 @@ def _of_places(found: list[_Table]) -> tuple[list[_Table], list[str]]:
     for table, name in named:
         if statistic_of(name) == DOUBTFUL:
             raise DataError(
-                f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position: leave '
-                "it out, or give it the name of a position, such as R7"
+                f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position. '
+                "If it is a position, give it another name, such as R7; otherwise leave "
+                "it out"
             )
     left_out = dict.fromkeys(name for _, name in named if statistic_of(name) is not None)
     return kept, [
@@ -380,8 +383,9 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
     found = columns_of(header, options.where)
     if _has_split_decimals(found, header, body, sheet.separator):
         raise DataError(
-            f"{place}: commas probably mark decimals and separate cells, so that 1,62 is read as two "
-            "cells. Save the table with semicolons or tabs between columns, or with decimal points"
+            f"{place}: the comma probably stands both for the decimal point and between "
+            "cells, so that 1,62 would be read as two cells. Save the table with "
+            "semicolons or tabs between columns, or with decimal points"
         )
     for k, column in enumerate(found):
         cells = [row[k] for _, row in body if len(row) > k and row[k]]
@@ -401,8 +405,11 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
                 and not any(map(_is_number, entry))
                 and not _refusal(sheet, only)
             ):
-                problem += f'; read the rows of one only with where={{"{name}": "{entry[0]}"}}'
-        raise DataError(f"{place}: {problem}{_proposed(sheet, at, options, '; or ')}")
+                problem += (
+                    f'. To read only its rows with one entry, use where={{"{name}": "{entry[0]}"}}'
+                )
+        before = ". Otherwise give" if ". " in problem else ". Give"
+        raise DataError(f"{place}: {problem}{_proposed(sheet, at, options, before)}")
     columns = [column for column in found if column]
     return _Table(sheet, columns, at, body, _titles(rows[:at]), [*notes, *sheet.notes], options)
 
@@ -455,13 +462,13 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
     """Return what a header leaves open; "" if it says what every column holds."""
     unknown = [name for name, c in zip(header, columns, strict=True) if c is None and name]
     if all(map(BARE_NUMBER.fullmatch, unknown or header)):
-        return "no line names columns by a parameter, a band or a position"
+        return "no line has names of columns, such as a parameter, a band or a position"
     if unknown:
         are = f"{_quoted(unknown)} {'is' if len(unknown) == 1 else 'are'}"
         problem = (
             f"column{'s' * (len(unknown) > 1)} {are} not a parameter, band, source or receiver"
         )
-        repeats = "; if they are repeats at one position, use repeats=True"
+        repeats = ". If they are repeats at one position, use repeats=True"
         return problem + repeats * any(map(repeat_of, unknown))
     if wrong := next((c.wrong for c in columns if c and c.wrong), ""):
         return wrong
@@ -470,7 +477,7 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
         return f"column {columns.index(None) + 1} has values and no name"
     values, kinds = [c for c in known if c.has_values], {c.kind for c in known}
     if without := [c for c in values if c.has_band == ("band" in kinds)]:
-        which = "two headers say" if "band" in kinds else "no header says"
+        which = "two headers give" if "band" in kinds else "no header gives"
         return f'{which} the band of "{shown(without[0].header)}"'
     alike = Counter(c.meaning for c in values)
     if twice := next((c for c in values if alike[c.meaning] > 1 and not c.receiver), None):
@@ -479,7 +486,7 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
         [cell for cell, c in zip(body[0][1], known, strict=False) if c.has_values] if body else []
     )
     if below and all(cell.strip("[]()").lower() in {*UNIT_WORDS} - {"-", "1"} for cell in below):
-        return f"line {body[0][0]} has units, which belong into the header"
+        return f"line {body[0][0]} has units; write them into the header"
     return ""
 
 
@@ -516,8 +523,8 @@ def _stated_table(sheet: Sheet, options: _Options) -> _Table:
 
 
 _FILL_IN = (
-    ", where ? is to be filled in: a parameter with its unit, a band or a position, as in T20 [s] at "
-    "500 Hz of S1 to R1, and R1#2 for a repeat"
+    ". Replace each ? by a parameter with its unit, a band or a position, as in T20 [s] at 500 Hz of "
+    "S1 to R1; R1#2 is a repeat at R1"
 )
 
 
@@ -598,7 +605,7 @@ def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
         text, reason = _tried(sheet, lines, asked, options)
     if reason:
         return f"; and {reason}" if reason.startswith("line ") and "state " not in reason else ""
-    what = f"state what each column holds, - for none, with {text}"
+    what = f" the content of each column, with - for a column to leave out: {text}"
     return before + what + _FILL_IN * ("?" in text)
 
 
@@ -827,7 +834,8 @@ class _Table:
                     points |= "." in digits
             if commas and points:
                 raise DataError(
-                    f"{self.sheet.place}, line {line}: decimal commas and decimal points in one table"
+                    f"{self.sheet.place}, line {line}: the table has both decimal commas "
+                    "and decimal points; use one of them"
                 )
         self.comma = commas
         self._set_positions({c.kind for c in self.columns})
@@ -853,8 +861,8 @@ class _Table:
                 continue
             if len(cells) != width:
                 raise DataError(
-                    f"{self.sheet.place}, line {line}: {len(cells)} cells; the header has {width}; "
-                    f"{self._other_lines}"
+                    f"{self.sheet.place}, line {line}: this row has {len(cells)} cells, "
+                    f"but the header has {width}. {self._other_lines}"
                 )
             rows.append((line, cells))
         return rows
@@ -862,10 +870,10 @@ class _Table:
     @property
     def _other_lines(self) -> str:
         """How to leave out lines that are no part of the table."""
-        cure = "delete what is below the table"
+        cure = "Delete the lines that are not part of the table"
         if self.options.columns:
             return cure
-        return cure + _proposed(self.sheet, self.at, self.options, "; or ")
+        return cure + _proposed(self.sheet, self.at, self.options, ". Or give")
 
     def _set_positions(self, kinds: set[str]) -> None:
         """Set the position of values whose rows name none, and the sentences on positions."""
@@ -875,8 +883,8 @@ class _Table:
         self.has_positions = bool(placed or position[1])
         if self.options.counts and self.has_positions:
             raise DataError(
-                f"{self.place}: numbers of sources and receivers are given for means, but the table "
-                "has single positions"
+                f"{self.place}: numbers of sources and receivers can be given only for "
+                "means, but the table has single positions; leave the numbers out"
             )
         self.pair = (position[0] or "S1", position[1] or "R1")
         is_summary = self.options.counts or {"sources", "receivers", "standard_deviation"} & kinds
@@ -884,7 +892,8 @@ class _Table:
             self.pair = (SUMMARY, SUMMARY)
         if {*_SPREADS} & kinds and sum(c.has_values for c in self.columns) > 1:
             raise DataError(
-                f"{self.place}: a column of uncertainties needs one value per row; there are several"
+                f"{self.place}: a column of uncertainties needs rows with one value each, "
+                "but these rows have several values"
             )
         self.example_of_both = None if "source" in kinds else self._example_of_both()
         says = self.of_positions = list[str]()
@@ -964,9 +973,9 @@ class _Table:
         if not all(both):
             line, name = rows[both.index(False)]
             raise DataError(
-                f'{self.sheet.place}, line {line}: "{shown(name)}" is not a position like '
-                f'"{shown(first)}"; if the row is not a position, delete it, otherwise name its '
-                "source and receiver"
+                f'{self.sheet.place}, line {line}: "{shown(name)}" does not name a source '
+                f'and a receiver as "{shown(first)}" does. If it is a position, name '
+                "both; otherwise delete the row"
             )
         return first
 
@@ -1021,12 +1030,15 @@ class _Table:
                 titled = (c.parameter for t in self.titles if (c := _name_of(t)))
                 likely = next(titled, REVERBERATION[0].key)
                 raise DataError(
-                    f'{place}: no heading says which parameter the value "{shown(cell)}" belongs '
-                    f'to; name it: parameter="{likely}", for instance'
+                    f'{place}: no header names the parameter of the value "{shown(cell)}". '
+                    f'Name it, for instance with parameter="{likely}"'
                 )
             band = column.band if column.has_band else row_band
             if band is None:
-                raise DataError(f'{place}: the value "{shown(cell)}" has no band')
+                raise DataError(
+                    f'{place}: the value "{shown(cell)}" has no band; give the band in its '
+                    "row or in the header of its column"
+                )
             unit = column.unit
             if not column.parameter:  # its row may state one, by itself or as "TS/ms"
                 of_name = name_and_unit(entries.get("parameter", ""))[1]
@@ -1067,8 +1079,9 @@ class _Table:
         for name in statistics:
             if values and statistic_of(name) == DOUBTFUL:
                 raise DataError(
-                    f'{place}: "{shown(name)}" may be a statistic or a remark, or a position: delete '
-                    "the row; or, if it is a position, give it another name"
+                    f'{place}: "{shown(name)}" may be a statistic, a remark or a position. '
+                    "If it is a position, give it another name, such as R7; otherwise "
+                    "delete the row"
                 )
         self.statistics[statistics[0]] = None
         return "" if receiver and receiver not in statistics else statistic_of(statistics[0])
@@ -1109,7 +1122,8 @@ class _Table:
         if parameter and "" not in own and parameter not in own:
             named = " and ".join(map(parameter_label, dict.fromkeys(own)))
             raise DataError(
-                f'{place}: the row says "{shown(text)}", and its columns are {named}: name one "value"'
+                f'{place}: this row has the parameter "{shown(text)}", but the columns are '
+                f'{named}. Name the column with its values "value"'
             )
         return parameter
 
@@ -1119,7 +1133,7 @@ class _Table:
         frequency = frequency_of(entries["band"])
         if frequency is None:
             raise DataError(
-                f'{place}: band "{shown(entries["band"])}" is not a frequency in Hz; '
+                f'{place}: the band "{shown(entries["band"])}" is not a frequency in Hz. '
                 f"{self._other_lines}"
             )
         column = next(c for c in self.columns if c.kind == "band")
@@ -1134,7 +1148,9 @@ class _Table:
     def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
         """Return a cell's number in the unit of its parameter."""
         if cell.startswith(("<", ">", "\u2264", "\u2265")):
-            raise DataError(f'{place}: "{shown(cell)}" is a limit, not a value: empty the cell')
+            raise DataError(
+                f'{place}: "{shown(cell)}" is a limit, not a measured value; empty the cell'
+            )
         own = unit_of(cell)
         cell, unit = cell.removesuffix(own).strip(), own or unit
         scale = scale_of(parameter, unit)
@@ -1202,9 +1218,9 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                 of_file = other.place.split(", sheet")[0] == file and other.name != sheet.name
                 if of_file and not options.sheets:  # those that are named are meant together
                     raise DataError(
-                        f"{twice}, first by {other.place}. Which parameter does each sheet hold? Give "
-                        "the sheets their parameters as names in the workbook, such as T20, EDT and "
-                        "C80; or read one alone, with its parameter: "
+                        f"{twice}, first in {other.place}. If each sheet has a parameter "
+                        "of its own, name the sheets after it in the workbook, such as "
+                        "T20, EDT and C80; or read one sheet alone with "
                         f'sheets="{shown(other.name)}"'
                     )
             given.setdefault(key, []).append(sheet)
@@ -1214,8 +1230,8 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                 key = next(k for k in repeats if k not in values)
             held = values.setdefault(key, options.counts)
             if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
-                hint = "; if they are repeats at one position, use repeats=True"
-                hint = "; delete one of the means" if SUMMARY in key else hint
+                hint = ". If they are repeats at one position, use repeats=True"
+                hint = ". Delete one of the means" if SUMMARY in key else hint
                 raise DataError(f"{twice}{hint}")
             held.update(numbers)
     return single, of_several

@@ -344,9 +344,10 @@ def _covariance(
     if (small := alone < _LEAST).any():
         p, i, k = np.argwhere(small)[0]
         raise DataError(
-            f"the uncertainty of {parameter_label(parameters[p])} at {' to '.join(pairs[i])}, "
-            f"{bands.label(frequencies[k])}, is {alone[p, i, k]:.1g} of the value or dB; no "
-            f"measurement is more accurate than {_LEAST:g}"
+            f"the uncertainty of {parameter_label(parameters[p])} at "
+            f"{' to '.join(pairs[i])}, {bands.label(frequencies[k])}, is "
+            f"{alone[p, i, k]:.1g} (of the value, or in dB), but no measurement has less "
+            f"than {_LEAST:g}; give the measured uncertainty"
         )
     of_team = np.where(np.isfinite(alone), 0.0, assumed[:, np.newaxis])
     shared = np.where(np.isfinite(common), common, of_team)
@@ -713,7 +714,8 @@ class ControlRuns:
             " to ".join(p) for p in pairs if p not in self.pairs
         ]:
             raise DataError(
-                f"the reference simulations have no {missing[0]}, so they belong to another simulator"
+                f"the reference simulations have no {missing[0]}, so they are of another "
+                "simulator; make them with this one"
             )
         rows = [self.parameters.index(p) for p in parameters]
         columns = [self.pairs.index(p) for p in pairs]

@@ -851,7 +851,8 @@ def _first(
     kept = tuple(p for p in match if p in given)
     if not kept:
         raise SimulatorError(
-            f"{simulator.name} gives none of {', '.join(map(parameter_label, match))}"
+            f"{simulator.name} calculates none of "
+            f"{', '.join(map(parameter_label, match))}; match other parameters"
         )
     shown = (*kept, *(p for p in more if p in given))
     first = Observations.of_measurement(simulated, shown, simulated.pairs)
@@ -899,9 +900,9 @@ def _tell_noise(groups: Array, match: Sequence[str], tracer: PathTracing) -> Non
         return
     enough = math.ceil(tracer.n_paths * (noise[worst] / NOISE) ** 2 / 100) * 100
     warnings.warn(
-        f"{tracer.n_paths} paths from each source are few: {parameter_label(worst)} of a pair has a "
-        f"noise of {noise[worst]:.2g} JND, and more than {NOISE:g} hides what is to be matched. Take "
-        f"{enough} paths or more",
+        f"{tracer.n_paths} paths from each source are too few: {parameter_label(worst)} of "
+        f"a source-receiver pair has a noise of {noise[worst]:.2g} JND, but it should be "
+        f"at most {NOISE:g} JND. Use {enough} paths or more",
         FewPathsWarning,
         stacklevel=checks.stack_level(),
     )

@@ -399,8 +399,8 @@ class ModesResult(Result):
         """
         if np.isfinite(self.data.reverberation_time).any():
             raise DataError(
-                "modes was already calibrated to T, which would count twice: leave T out, as in "
-                "calibrate_modes(room, modes)"
+                "modes is already calibrated to T, and T would count twice. Calibrate the "
+                "modes without T: calibrate_modes(room, modes)"
             )
         room = self.prior
         times = times_in_room(room, measured)

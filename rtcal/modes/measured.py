@@ -298,9 +298,9 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         if (bad := (found < low) | (found > high) | other).any():
             i = int(np.argmax(bad))
             raise DataError(
-                f"{at(name, i)}: {found[i]:g} has no unit. In {known} the values would be from "
-                f'{low[i]:.3g} to {high[i]:.3g}: write the unit into the header, as in "{name} '
-                f'[{list(_UNITS[whole])[-1]}]"'
+                f"{at(name, i)}: the unit of {found[i]:g} is unclear. In {known} it would "
+                f"be from {low[i]:.3g} to {high[i]:.3g}. Write the unit into the header, "
+                f'as in "{name} [{list(_UNITS[whole])[-1]}]"'
             )
         return found
 
@@ -412,8 +412,9 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     count, strangers = int(sure.sum()), int((strange > 0.5).sum())
     if count and abs(scale - 1) > (_RANGE - 0.01) * COMMON_ERROR:
         raise DataError(
-            f"the measured frequencies are at least {scale:.3f} times the calculated ones, more "
-            "than is searched: check dimensions and temperature"
+            "the measured frequencies differ from the calculated ones by at least "
+            f"{abs(scale - 1):.1%}, which is more than rtcal searches: check dimensions "
+            "and temperature"
         )
     rng, lowest = np.random.default_rng(0), float(min(frequencies[0], measured.frequencies[0]))
     highest = float(max(measured.frequencies[-1], lowest + 1))
@@ -424,9 +425,10 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     if not count or count < chance.mean():
         raise DataError(
             f"{count or 'none'} of the {n} measured modes can be assigned to exactly one "
-            "calculated mode; near the others there is none, or there are two. Of as many random "
-            f"frequencies {chance.mean():.1f} could be assigned on average. Check frequencies, "
-            "dimensions and temperature, then input coefficients and uncertainties"
+            f"calculated mode. That is no better than chance: of {n} random frequencies "
+            f"{chance.mean():.1f} could be assigned on average. Check frequencies, "
+            "dimensions and temperature first, then the input coefficients and the "
+            "uncertainties"
         )
     doubts = []
     if (chance >= count).mean() > _BY_CHANCE:
@@ -860,14 +862,16 @@ def find_modes(
     fit = fitted(spectra, model.calculated, model.amplitudes(pairs))
     if max(fit.unexplained, fit.strange) > UNEXPLAINED:
         raise DataError(
-            f"the room's modes leave {fit.unexplained:.0%} of the responses' power unexplained, "
-            f"and {fit.strange:.0%} of the amplitudes over the positions: check dimensions, "
-            "positions and temperature, and that time 0 is when the sound begins"
+            f"the room's modes do not explain {fit.unexplained:.0%} of the power of the "
+            f"responses, and {fit.strange:.0%} of the amplitudes over the positions. "
+            "Check dimensions, positions and temperature, and that the sound begins at "
+            "time 0"
         )
     if abs(fit.scale - 1) > 0.99 * FARTHEST:
         raise DataError(
-            f"the measured frequencies are at least {fit.scale:.3f} times the calculated ones, "
-            "more than is searched: check dimensions and temperature"
+            "the measured frequencies differ from the calculated ones by at least "
+            f"{abs(fit.scale - 1):.1%}, which is more than rtcal searches: check "
+            "dimensions and temperature"
         )
     return _without_prior(fit, size, model.modes.largest, lowest, highest)
 

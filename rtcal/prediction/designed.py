@@ -620,7 +620,9 @@ def design_model(
     For the parameters see `design`, which raises the same DataErrors.
     """
     if isinstance(result, Room):
-        raise DataError("result is a Room; give the result of a calibration (rtcal.calibrate)")
+        raise DataError(
+            "result must be the result of a calibration (rtcal.calibrate), and not a Room"
+        )
     known = known_room(result)
     room = known.room
     if target.low.shape != (room.n_bands,):
@@ -657,26 +659,28 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
                 for t, area in zip(free.treatments, found.areas.tolist(), strict=True)
             )
             return [
-                f"No whole panels are in range with probability {probability:g}.",
-                f"Panels that may be cut would be: {areas}. {_price(model, found.areas)}.",
+                "No number of whole panels brings T into the range with a probability of "
+                f"{probability:g}.",
+                f"If panels may be cut, these areas do: {areas}. {_price(model, found.areas)}.",
             ]
     at = model.most_probable
     each = [
         f"{labels[k]} {p:.2f}" for k, p in enumerate(model.probability(at)) if target.bounded[k]
     ]
     said = [
-        f"No areas of these treatments are in range with probability {probability:g}.",
+        "No areas of these treatments bring T into the range with a probability of "
+        f"{probability:g}.",
         *_already_short(model),
-        "With the areas whose least probable band is most probable, the probabilities are: "
-        f"{', '.join(each)}. {_price(model, at)}.",
+        f"The areas that come closest have these probabilities by band: {', '.join(each)}. "
+        f"{_price(model, at)}.",
     ]
     wider = model.widening(probability)
     if wider is None:
-        said.append("No range about this one is met.")
+        said.append("A wider range does not help.")
     else:
         percent = 100 * (wider - 1)
         by = f"{percent:.0f} %" if percent >= 1 else "less than 1 %"
-        said.append(f"A range wider by {by} at both ends is met.")
+        said.append(f"A range that is wider by {by} at both ends can be met.")
     parts = model.prediction(at).parts
     said.append(
         f"To narrow the interval, {words.advice(next(iter(parts)), model.known.n_measured)}."
@@ -692,7 +696,7 @@ def _price(model: DesignModel, areas: Array) -> str:
     cost = float(model.prices @ areas)
     said = f"The cost is {cost:.0f}"
     if bought > cost * (1 + _ROUNDING):
-        said += f" where a cut panel is paid by its area, and {bought:.0f} where it is paid whole"
+        said += f" if a cut panel is paid by its area, and {bought:.0f} if it is paid whole"
     return said
 
 
@@ -708,7 +712,7 @@ def _already_short(model: DesignModel) -> list[str]:
         return []
     labels = bands.labels(model.before.centre_frequencies)
     each = [
-        f"{before[k]:.2f} s at {labels[k]} (from {model.target.low[k]:.2f} s)"
+        f"{before[k]:.2f} s at {labels[k]} (the range begins at {model.target.low[k]:.2f} s)"
         for k in np.flatnonzero(short).tolist()
     ]
     return [

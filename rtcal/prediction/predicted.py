@@ -477,11 +477,13 @@ def predict(
     if run is not None or run_after is not None:
         if run is None or run_after is None:
             lacking = "run" if run is None else "run_after"
-            raise DataError(f"{lacking} is missing: give what the program gave before and after")
+            raise DataError(
+                f"{lacking} is missing: give the program's results both before and after the change"
+            )
         if not (room_known.measured.any() and room_known.exact):
             raise DataError(
-                "run is used with a calibration to a measured T: the program's ratio of T after to T "
-                "before multiplies the measured T"
+                "run needs a calibration to a measured T, because this T is multiplied by "
+                "the program's ratio of T after to T before"
             )
         simulated = SimulatedChange.of(room_known.room, run, run_after)
     prediction = Prediction(
@@ -622,8 +624,9 @@ def predict_variants(
     room_known = known_room(known, equation)
     if run is not None and all(v.simulated is None for v in variants):
         raise DataError(
-            "no variant has simulated, what the program gave after the change: add it, or leave the "
-            "run before the change out"
+            "a simulation before the change is given, but no variant has simulated, the "
+            "simulation after the change. Add simulated to a variant, or leave the "
+            "simulation before the change out"
         )
     made = tuple(
         predict(

@@ -54,7 +54,7 @@ class SimulatedChange:
             if not np.isfinite(times).any():
                 raise run.nothing_common(after, "T20 or T30")
         except DataError as error:
-            raise DataError(f"run after the change, in place of a measurement: {error}") from error
+            raise DataError(f"simulation after the change: {error}") from error
         relative = [
             of.reverberation_time_uncertainty / t for of, t in zip(runs, times, strict=True)
         ]
@@ -107,7 +107,7 @@ class SimulatedChange:
         try:
             area = known.equation.absorption_area(room, self.before)
         except RtcalError as error:
-            raise DataError(f"run: {error}") from error
+            raise DataError(f"simulation before the change: {error}") from error
         own = known.equation.absorption_area(room, known.time)
         alpha = np.array(change.known_alpha.alpha)
         for i, name in enumerate(change.materials):

@@ -116,9 +116,7 @@ class RoomSimulator:
 
     def with_air(self, air: Air) -> Any:
         """Return the simulator of the room with other air; DataError if its air cannot change."""
-        raise DataError(
-            "another climate needs PathTracing as the simulator; this one keeps its own air"
-        )
+        raise DataError("this simulator cannot change its air; for another climate use PathTracing")
 
     def __repr__(self) -> str:
         return (

@@ -236,8 +236,8 @@ def refuse_other_unit(geometry: Polyhedron, room: Room) -> None:
         if not power or abs(stated / own / 10.0**power - 1) > OFF_VOLUME:
             continue
         raise DataError(
-            f"{name} = {stated:.4g} {unit} is 10^{power} times the {own:.4g} {unit} of the mesh: check "
-            "its decimal point and unit"
+            f"{name} = {stated:.4g} {unit} is {10.0**power:g} times the {own:.4g} {unit} "
+            "of the mesh: check its decimal point and unit"
         )
 
 
@@ -737,7 +737,10 @@ def by_chords(geometry: Polyhedron, number: int = 100_000, seed: int = 0) -> Cho
     met = length[np.isfinite(length)]
     lost = 1 - len(met) / number
     if not len(met):
-        raise DataError("no ray from the faces meets another: they bound no room")
+        raise DataError(
+            "the faces do not bound a room, because no ray from a face meets another "
+            "face: check the mesh"
+        )
     whole, mean, spread = float(areas.sum()), float(met.mean()), float(met.std())
     chance = np.sqrt(lost * (1 - lost) / number)
     return Chords(
@@ -1069,8 +1072,9 @@ class PathTracing(Tracer):
         kept = tuple(n for n in names if not self.unknown_sources or OBSERVABLES[n].part == "late")
         if not kept:
             raise DataError(
-                f"match has {', '.join(names)}, which depends on the directivity of a source "
-                "that is given as unknown: give the directivity, or leave this parameter out"
+                f"match has {', '.join(names)}, which depends on the directivity of a "
+                "source, and that directivity is given as unknown. Give the directivity, "
+                f"or leave {', '.join(names)} out"
             )
         return kept
 

@@ -168,7 +168,10 @@ def box_of(room: Room) -> Polyhedron:
     """
     checks.instance("room", room, Room).refuse_pieces("a simulation of the shoebox")
     if (sides := room.dimensions) is None:
-        raise DataError(f'room "{room.name}" states no dimensions; a shoebox needs them')
+        raise DataError(
+            f'room "{room.name}" has no dimensions, which this simulator needs; give the '
+            "room dimensions"
+        )
     if room.n_materials == 1:
         return Polyhedron.shoebox(sides, room.materials[0])
     named = {m: m for m in room.materials} | {s.name: s.material for s in room.surfaces}

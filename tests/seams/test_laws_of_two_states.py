@@ -191,7 +191,9 @@ def test_an_option_without_effect_is_refused() -> None:
     assert "air" not in dry.probabilities
     assert dry.climate == 0
     for options in ({"without": ["volume"]}, {"without": ["coefficients"]}, {"only": ["formula"]}):
-        with pytest.raises(rt.errors.DataError, match=r"which is none of .*air"):
+        with pytest.raises(
+            rt.errors.DataError, match=r"which is not an effect of this search.*air"
+        ):
             rt.find(stated, after, before=before, **options)
     for name, value in {"cache": "folder", "progress": print, "prior": {}, "most": 2}.items():
         with pytest.raises(

@@ -45,7 +45,7 @@ def test_means_given_twice_are_no_repeats(
     for repeats in ([], ["--repeats"]):
         said = ran(capsys, "table", path, *repeats, code=2)
         assert said.endswith(
-            "line 3: T20 of *, * at 500 Hz is given twice; delete one of the means"
+            "line 3: T20 of *, * at 500 Hz is given twice. Delete one of the means"
         )
 
 
@@ -76,7 +76,7 @@ def test_bands_in_khz_are_named_where_the_header_does_not(
 ) -> None:
     path = tmp_path / "t.csv"
     path.write_text("band;T20\n0.5;1.62\n1;1.5\n")
-    assert 'if it is in kHz, call the column "band [kHz]"' in ran(capsys, "table", path, code=2)
+    assert 'If it is in kHz, name the column "band [kHz]"' in ran(capsys, "table", path, code=2)
 
 
 def test_bands_of_which_some_are_in_khz_are_refused(

@@ -71,7 +71,7 @@ def test_in_a_table(named: bool) -> None:
     assert "5 of S1 to R1" in str(table)
     if not named:
         with pytest.raises(
-            DataError, match=r"given twice; if they are repeats at one position, use repeats=True"
+            DataError, match=r"given twice. If they are repeats at one position, use repeats=True"
         ):
             rt.io.tables.parse(content)
 

@@ -46,7 +46,7 @@ def test_in_python(measured: rt.Measurement) -> None:
 
 def test_a_noise_that_hides_what_is_matched_is_said(measured: rt.Measurement) -> None:
     """Decays of 100 paths hold every parameter here, with a noise of nearly a JND."""
-    said = r"100 paths from each source are few: T20 .* noise of (0\.[5-9]\d*|1\.\d) JND.* Take (\d+)00"
+    said = r"100 paths .* are too few: T20 .* noise of (0\.[5-9]\d*|1\.\d) JND.* Use (\d+)00"
     with pytest.warns(FewPathsWarning, match=said) as told, pytest.raises(AssertionError):
         rt.calibrate_positions(tracer(100), HALL.room, measured, match=("t20",))
     enough = int(str(told[0].message).split()[-4])

@@ -404,9 +404,9 @@ def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[Cont
     )
     if len({c.engine for c in every}) < least:
         raise DataError(
-            "the reference simulations come from "
-            f"{', '.join(c.engine for c in every) or 'no simulator'}; a threshold needs at least "
-            "two simulators"
+            "the reference simulations are from "
+            f"{', '.join(c.engine for c in every) or 'no simulator'}, but a threshold "
+            "needs those of at least two simulators"
         )
     shape = len(case.configurations), len(FEATURES), case.room.n_bands
     for c in every:

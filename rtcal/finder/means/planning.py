@@ -196,7 +196,7 @@ def plan(
             raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
         hours[name] = checks.positive(f'costs["{name}"]', value)
     if finding is not None and finding.case is not case:
-        raise DataError("finding belongs to another case: give the case in which it was found")
+        raise DataError("finding belongs to another case: give the case of this finding")
     observed, _ = observe(case)
     tried, _ = judged_effects(checked_effects(effects), case.directions_known, bool(case.program))
     predicted = predict_hypotheses(case, tried)

@@ -304,8 +304,10 @@ def predict_hypotheses(
         if lost is not None:
             culprit = "the case's model" if lost == 0 else f'effect "{names[lost]}"'
             raise DataError(
-                f"{culprit} has no finite T, C80 and G with {parameters[lost] or 'the input'} in "
-                f"a room of {case.room.volume:g} m³ with {case.room.total_area:g} m² of walls"
+                f"{culprit} gives no finite T, C80 and G with "
+                f"{parameters[lost] or 'the input'} in a room of {case.room.volume:g} m³ "
+                f"with {case.room.total_area:g} m² of surfaces. Check volume, areas and "
+                "coefficients"
             )
         for array in (predicted.features, predicted.slopes, predicted.jacobian):
             array[~possible] = array[0]
@@ -327,14 +329,14 @@ def check_size(case: Case, n_hypotheses: int) -> None:
     measured = sum(len(set(c.measured.values) & set(FEATURES)) for c in case.configurations)
     if (size := measured * room.n_bands) > LARGEST_FEATURES:
         raise DataError(
-            f"{n} configurations have {size} values (parameters and bands); at most "
-            f"{LARGEST_FEATURES} are possible: leave some configurations out with Case.only"
+            f"the {n} configurations have {size} values (parameters times bands), but at "
+            f"most {LARGEST_FEATURES} are possible: leave some configurations out"
         )
     if n_hypotheses > LARGEST_HYPOTHESES:
         raise DataError(
-            f"{n_hypotheses} sets of parameters would be tried in a room of {room.n_materials} "
-            f"materials; at most {LARGEST_HYPOTHESES} are possible: use fewer effects or "
-            "materials"
+            f"the search would try {n_hypotheses} sets of parameters with "
+            f"{room.n_materials} materials, but at most {LARGEST_HYPOTHESES} are possible: "
+            "use fewer effects or materials"
         )
 
 
@@ -521,7 +523,7 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
     size = flat.size
     if not used.any():
         raise DataError(
-            "no band of any configuration has a T that can be trusted: "
+            "T cannot be used in any band of any configuration: "
             + "; ".join(str(note).removesuffix(".") for note in notes)
         )
     covariance = full.reshape(size, size)[np.ix_(flat, flat)]

@@ -217,8 +217,8 @@ def recalibrate(
         n = len(case.configurations) * len(FEATURES) * case.room.n_bands
         if bias.shape != (n,):
             raise DataError(
-                f"discrepancy has a bias of shape {bias.shape}; this case's is ({n},): it is of "
-                "another case"
+                f"discrepancy is of another case: its bias has shape {bias.shape}, and "
+                f"this case needs ({n},)"
             )
     fitted = [c for c in range(len(case.configurations)) if c not in left_out]
     return LogTimes.of(case, fitted, bias).calibrated()

@@ -163,7 +163,7 @@ def find(
         raise DataError(f"most = {most} must be from 1 to {MOST}")
     if most > 1 and len(effects) < 2:
         raise DataError(
-            f"most = {most} is too large: only {len(effects)} effect is tried; use most = 1"
+            f"most = {most} is too large, because only {len(effects)} effect is tried; use most = 1"
         )
     expected = float(np.log1p(1 / odds[NONE])) if NONE in odds else EXPECTED
     observed, dropped = observe(case)

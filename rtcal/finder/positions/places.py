@@ -61,7 +61,9 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
         if best is not None and finding.surfaces[name] > 0:
             rivals.append(best)
     if len(rivals) < 2:
-        raise DataError("at most one surface is a candidate, so there is nothing to distinguish")
+        raise DataError(
+            "a plan needs at least two candidate surfaces to distinguish, but at most one is left"
+        )
     places, divided = _grid(case, number), case.divided
     tracer = replace(
         case.simulator,
@@ -122,6 +124,6 @@ def _grid(case: PositionsCase, number: int) -> Array:
             chosen = np.linspace(0, len(free) - 1, number).round().astype(int)
             return np.asarray(free[chosen])
     raise DataError(
-        f"the room is too small for {number} positions {MARGIN:g} m away from walls and "
-        "sources: ask for fewer"
+        f"the room is too small for {number} positions that are {MARGIN:g} m away from "
+        "walls and sources: plan fewer positions"
     )

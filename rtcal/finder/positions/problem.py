@@ -864,7 +864,8 @@ class PositionsProblem:
         names, pairs = wanted.parameters, wanted.pairs
         if len(pairs) < 2:
             raise DataError(
-                f"{' to '.join(pairs[0])} is the only pair; locating an effect needs at least two"
+                f"{' to '.join(pairs[0])} is the only source-receiver pair, but at least "
+                "two are needed to locate an effect"
             )
         stated, shifts = simulated.at(wanted).values, made.at(wanted).columns
         self.shape = stated.shape
@@ -872,7 +873,9 @@ class PositionsProblem:
         self.stated = Measurement(centre_frequencies=frequencies, values=values, pairs=pairs)
         self.used = flat(np.isfinite(wanted.values - stated)).astype(bool)
         if not self.used.any():
-            raise DataError("no parameter was both measured and simulated in the same band")
+            raise DataError(
+                "measurement and simulation have no parameter in common in the same band"
+            )
         measured = np.where(np.isfinite(wanted.values), wanted.values, stated)
         kinds = [observable(name) for name in names]
         # What is stated, moved by the mean difference over the pairs: where errors are scaled.

@@ -418,7 +418,8 @@ def controls_of(
     )
     if controls is None:  # a PathTracing has reference simulations always
         raise DataError(
-            f"{case.simulator.name} has no geometry that could be traced; use PathTracing"
+            f"{case.simulator.name} has no geometry, which is needed to trace paths; use "
+            "PathTracing"
         )
     return controls
 
