@@ -93,7 +93,7 @@ def refused(folder: Path) -> str:
         try:
             disk.read_bytes(folder / name, 2**28)
         except DataError as error:
-            if "was not written whole" not in str(error):
+            if "was interrupted while it wrote" not in str(error):
                 raise
             return str(error)
     return ""

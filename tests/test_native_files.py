@@ -210,7 +210,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         (
             "[0.1, 0.1, 0.1]",
             "[0.1, 0.1, 50]",
-            'alpha["rest", 1000 Hz] = 50 looks like percent',
+            'alpha["rest", 1000 Hz] = 50 is probably in percent',
         ),
         (
             "[0.1, 0.1, 0.1]",

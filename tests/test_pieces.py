@@ -150,7 +150,7 @@ def test_bad_pieces_are_refused(change: dict[str, object], words: str) -> None:
     data = room().to_dict() | {"object": [stated | change]}
     with pytest.raises(DataError, match=words):
         Room.from_dict(data)
-    with pytest.raises(DataError, match="every material is a piece"):
+    with pytest.raises(DataError, match="every material of the room is a piece"):
         room(PERSONS).replace(pieces=["persons", "floor", "rest"])
 
 
@@ -168,14 +168,14 @@ def test_nobody_is_a_room_without_them() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (Change(remove="persons", area=10), '"persons" of the room has a number of pieces'),
-        (Change(remove="floor", number=10), '"floor" of the room has an area'),
+        (Change(remove="persons", area=10), '"persons" has a number of pieces: give number'),
+        (Change(remove="floor", number=10), '"floor" has an area in m²: give area'),
         (Change(remove="persons", number=31), 'number = 31 is more than the 30 of "persons"'),
         (
             Change(cover="persons", by="floor"),
             "has a number of pieces and no surface; pieces can only be added or removed",
         ),
-        (Change(open="persons"), "is not a surface"),
+        (Change(open="persons"), "has a number of pieces and no surface"),
     ],
 )
 def test_changes_that_pieces_do_not_allow(change: Change, words: str) -> None:
@@ -221,10 +221,11 @@ def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
     box = Polyhedron.shoebox((9, 7, 3), "floor")
     at = {"sources": {"S1": (1, 1, 1)}, "receivers": {"R1": (5, 5, 1)}}
     with pytest.raises(
-        DataError, match=r'a tracing: room "class" has the \[\[object\]\] "persons"'
+        DataError,
+        match=r'a tracing takes only surfaces, but room "class" has the \[\[object\]\] "persons"',
     ):
         PathTracing(geometry=box, room=whole, scattering=0.5, **at)
-    with pytest.raises(DataError, match="an archive: "):
+    with pytest.raises(DataError, match="an archive takes only surfaces"):
         learn([rt.calibrate(whole.replace(name=n), [1.0, 0.6]) for n in "ab"])
     for program in (rt.io.catt, rt.io.odeon):
         report = program.write(whole, tmp_path / "list", missing_bands="nearest")

@@ -155,7 +155,7 @@ OTHER_FILES = [
         "f,T20\n500,1\n",
         "is a table of values, .* Make one first, such as `rtcal calibrate",
     ),
-    ("a.toml", "volume = 1", "is a room, and a saved result is needed"),
+    ("a.toml", "volume = 1", "is a room, but a saved result is needed"),
 ]
 
 

@@ -342,7 +342,7 @@ BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
     (P(), [terms.AtMost("m0", "m1", band=8000)], DataError, "8000 Hz"),
     (P(), [terms.AtMost("m0", "m1", band=0)], DataError, "band = 0"),
     (P(), [terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)], ModelError, '"m3"'),
-    (P() + not_dpp, [], ModelError, "not DPP"),
+    (P() + not_dpp, [], ModelError, "breaks cvxpy's rules"),
     (P() + (lambda m: cp.norm(m.deviation[0])), [], ModelError, "not a quadratic program"),
     (P() + (lambda m: -cp.sum_squares(m.deviation)), [], ModelError, "not convex"),
     (P() + (lambda m: m.deviation), [], ModelError, "must return one number"),
@@ -376,8 +376,8 @@ def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:
     t = true_times(np.random.default_rng(0), room, EYRING)
     for objective, constraints, error, place in (
         (P(), [SHARE], DataError, "have the same prior"),
-        (P() + terms.SoftMatch(), [], DataError, r"u_T\[63 Hz\] is unknown or 0"),
-        (P() + terms.SoftMatch(1e-9), [], DataError, r"u_T\[63 Hz\] is below"),
+        (P() + terms.SoftMatch(), [], DataError, r"the uncertainty of T\[63 Hz\] is unknown or 0"),
+        (P() + terms.SoftMatch(1e-9), [], DataError, r"uncertainty of T\[63 Hz\] is below"),
         (P() + terms.AddedAbsorption("x", [1, 1], 1.0), [], ModelError, "shape"),
         (
             P(),

@@ -443,12 +443,16 @@ def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T
     Examples
     --------
     >>> notes([500, 1000], [500])
-    ['left out, not in the room: 1000 Hz']
+    ['T at 1000 Hz is left out, because the room does not have this band']
     """
     stated = as_bands(measured)
     found = [rule(stated, wanted, quantity)]
     if (left := unused(stated, wanted)).size:
-        found.append(f"left out, not in the room: {', '.join(labels(left))}")
+        these = "these bands" if len(left) > 1 else "this band"
+        found.append(
+            f"{quantity} at {', '.join(labels(left))} is left out, because the room does "
+            f"not have {these}"
+        )
     return [note for note in found if note]
 
 

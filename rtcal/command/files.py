@@ -271,7 +271,7 @@ def export(
     if template is None:
         disk.may_replace(materials)  # its numbers are what is asked to be changed
     if kind_of(materials) == ROOM and not kind_of(room):
-        other = OtherKindError(f"{room} is no file of rtcal, and a room is needed")
+        other = OtherKindError(f"{room} is not a file of rtcal, but a room is needed here")
         other.path, other.needed = room, ROOM
         raise other
     with console.errors_name_options("missing_bands", "decimals"):

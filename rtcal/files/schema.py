@@ -373,7 +373,7 @@ class OtherKindError(DataError):
 
     path: str
     needed: str
-    hint: str
+    hint: str = ""
 
 
 @contextmanager

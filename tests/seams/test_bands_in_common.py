@@ -84,7 +84,10 @@ def test_bands_in_common_are_compared(
 
 
 OTHERS = {
-    "left out": ([63, 125, 250, 500, 1000, 2000, 4000], "left out, not in the room: 63 Hz"),
+    "left out": (
+        [63, 125, 250, 500, 1000, 2000, 4000],
+        "T at 63 Hz is left out, because the room does not have this band",
+    ),
     "thirds": (THIRDS, "converted from third-octaves to octaves"),
     "few": ([500, 1000], "no T was measured at 125 Hz, 250 Hz, 2000 Hz, 4000 Hz"),
 }
