@@ -363,7 +363,7 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
         controls=controls_of(case),
     )
     assert nothing.verdict == "none"
-    with pytest.raises(DataError, match='the verdict is "none"'):
+    with pytest.raises(DataError, match='verdict "none"'):
         nothing.apply()
 
 

@@ -251,7 +251,7 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
     assert found.named == found.named_families == ()
     assert found.numbers[0] > 0.5
     assert found.probabilities["none"] > 0.5
-    with pytest.raises(DataError, match='the verdict is "none"'):
+    with pytest.raises(DataError, match='verdict "none"'):
         found.apply()
 
 
@@ -278,7 +278,7 @@ def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     assert "none of the effects that were tried explains the data" in headline(found)[0]
     assert "(verdict unknown)" in str(found.refusal)
     assert "most likely" not in str(found)
-    with pytest.raises(DataError, match='the verdict is "unknown"'):
+    with pytest.raises(DataError, match='verdict "unknown"'):
         found.apply()
 
 

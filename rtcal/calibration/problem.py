@@ -292,7 +292,10 @@ class CalibrationProblem(Composition, Generic[R]):
                 for one, there in zip(rooms.rooms, times, strict=True)
                 for doubt in of_input(one, there.reverberation_time, there.mistyped)
             ]
-            error.args = (" ".join([*dict.fromkeys(said), str(error)]),)
+            why = str(error)
+            if said and why.startswith("the "):
+                why = "T" + why[1:]
+            error.args = (" ".join([*dict.fromkeys(said), why]),)
             raise
         u = program.unknowns(numbers, point.v)
         active = problem.unknowns_at(numbers, point.at)
