@@ -41,7 +41,7 @@ def test_walls_hold_the_room_s_volume(make):
         make(room=HALL.room.replace(volume=share * HALL.geometry.volume))
     for share in (0.5, 0.88, 1.12):
         volume = share * HALL.geometry.volume
-        said = f"volume = {volume:g} m³, but the geometry holds {HALL.geometry.volume:g} m³"
+        said = f"volume = {volume:g} m³, but the geometry has {HALL.geometry.volume:g} m³"
         with pytest.raises(DataError, match=said):
             make(room=HALL.room.replace(volume=volume))
 

@@ -673,8 +673,9 @@ def _check_size(room: Room) -> None:
         if abs(room.volume / box - 1) > _OFF_BOX:
             sides = " x ".join(f"{side:g}" for side in room.dimensions)
             raise DataError(
-                f"room: volume = {room.volume:g} m³, but dimensions = {sides} m hold {box:g} m³; "
-                f"they may differ by at most {100 * _OFF_BOX:.0f} %"
+                f"room: volume = {room.volume:g} m³, but the box of dimensions = {sides} m "
+                f"has {box:g} m³. They may differ by at most {100 * _OFF_BOX:.0f} %: "
+                "check volume and dimensions"
             )
 
 

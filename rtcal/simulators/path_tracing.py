@@ -252,8 +252,9 @@ def volume_doubt(geometry: Polyhedron, room: Room) -> str:
     if abs(room.volume / geometry.volume - 1) <= OFF_VOLUME:
         return ""
     return (
-        f"room: volume = {room.volume:g} m³, but the geometry holds {geometry.volume:g} m³; they "
-        f"may differ by at most {100 * OFF_VOLUME:.0f} %"
+        f"room: volume = {room.volume:g} m³, but the geometry has {geometry.volume:g} m³. "
+        f"They may differ by at most {100 * OFF_VOLUME:.0f} %: check the volume, and the "
+        "unit of the geometry"
     )
 
 
