@@ -198,7 +198,9 @@ def test_a_balloon_that_says_too_little_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="the source does not radiate along the file's axis"):
         balloons.read(behind, [1000], (1, 0, 0))
     half = balloon(tmp_path / "h.sofa", lowest=0)
-    with pytest.raises(DataError, match="leave a gap of 90 degrees"):
+    with pytest.raises(
+        DataError, match="leave gaps, in which the nearest direction is up to 90 degrees away"
+    ):
         balloons.read(half, [1000], (1, 0, 0))
     along = balloon(tmp_path / "u.sofa", SourceUp=[[0.0, -2.0, 0.0]])
     with pytest.raises(

@@ -228,7 +228,7 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_threads_and_a_scheduler_exclude_each_other() -> None:
-    with pytest.raises(DataError, match="2 workers of this machine and a scheduler were given"):
+    with pytest.raises(DataError, match=r"workers = 2 \(of this machine\) and a scheduler"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler="tcp://node1:8786", workers=2)
 
 

@@ -144,9 +144,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             return 3
         return 4 if isinstance(error, MissingDependencyError) else 2
     except OSError as error:  # of a path that the system refuses, such as a name of 300 characters
-        missing = isinstance(error, FileNotFoundError)
-        why = "no such file or folder" if missing else error.strerror or error
-        warn(f"{shortened(str(error.filename), 200)}: {why}")
+        warn(f"{shortened(str(error.filename), 200)}: {disk.reason(error)}")
         return 2
     return code if isinstance(code, int) else 0
 

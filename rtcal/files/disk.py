@@ -42,6 +42,13 @@ _CALL = "the call that wrote it"
 _UNWRITTEN = "cannot be written: "
 
 
+def reason(error: OSError) -> str:
+    """Return why the system refuses a path, in the words that all commands use."""
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
+        return "no such file or folder"
+    return error.strerror or str(error)
+
+
 @contextmanager
 def _naming(path: Any, what: str = "") -> Iterator[None]:
     """Raise a DataError that names the path in place of what the system or Python raises."""
@@ -50,9 +57,7 @@ def _naming(path: Any, what: str = "") -> Iterator[None]:
     except DataError:
         raise
     except OSError as error:
-        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
-        why = "no such file or folder" if missing else error.strerror or error
-        raise DataError(f"{path}: {what}{why}") from error
+        raise DataError(f"{path}: {what}{reason(error)}") from error
     except (ValueError, TypeError) as error:  # a path with a NUL, or no path
         raise DataError(f"{path!r} must be a path: {error}") from error
 

@@ -115,7 +115,8 @@ def _at_equal_angles(directions: Array, energy: Array, place: str) -> Array:
     _, first = np.unique(np.round(directions, 5), axis=0, return_index=True)
     if len(first) < _DIRECTIONS:
         raise DataError(
-            f"{place}: {len(first)} directions; a directivity needs at least {_DIRECTIONS}"
+            f"{place}: the file has {len(first)} directions, but a directivity needs at "
+            f"least {_DIRECTIONS}"
         )
     points, energy = directions[first], energy[:, first]
     try:
@@ -127,8 +128,9 @@ def _at_equal_angles(directions: Array, energy: Array, place: str) -> Array:
     gap = float(np.degrees(np.arccos(np.clip(-hull.equations[:, 3], -1, 1))).max())
     if gap > _LARGEST_GAP:
         raise DataError(
-            f"{place}: the directions leave a gap of {gap:.0f} degrees to the nearest ones; at most "
-            f"{_LARGEST_GAP:.0f} are allowed"
+            f"{place}: the directions leave gaps, in which the nearest direction is up to "
+            f"{gap:.0f} degrees away; at most {_LARGEST_GAP:.0f} degrees are allowed. "
+            "Export more directions"
         )
     corners = np.linalg.inv(points[hull.simplices])
     phi = np.radians(np.arange(0, 360, _STEP))
@@ -214,8 +216,8 @@ def _energy(rows: Sequence[Sequence[str]], begin: int, step: int, place: str) ->
             arcs.append([_number(cell, f"{place}, line {n + 1}") for cell in cells])
             if len(cells) != 180 // step + 1:
                 raise DataError(
-                    f"{place}, line {n + 1}: {len(cells)} levels; an arc must have "
-                    f"{180 // step + 1}, one every {step} degrees"
+                    f"{place}, line {n + 1}: this arc has {len(cells)} levels, but must "
+                    f"have {180 // step + 1}, one every {step} degrees"
                 )
     symmetry = _stated(rows, "<BALLOON-SYMMETRY>") or "none"
     number, circle = len(arcs), 360 // step
@@ -223,8 +225,8 @@ def _energy(rows: Sequence[Sequence[str]], begin: int, step: int, place: str) ->
     wanted = round(_ARCS[symmetry] * circle) + both_ends if symmetry in _ARCS else 1
     if number != wanted:
         raise DataError(
-            f"{place}, line {begin}: {number} arcs; a balloon of the symmetry {symmetry} "
-            f"must have {wanted}"
+            f"{place}, line {begin}: the balloon has {number} arcs, but with the symmetry "
+            f"{symmetry} it must have {wanted}"
         )
     level = np.array(arcs)
     if symmetry == "full":

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.files.disk import reason
 from rtcal.io import budget
 from rtcal.io.mend import Faces, Polygon, normal_of, shapely
 from rtcal.io.text import shown
@@ -77,7 +78,7 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     try:
         size = os.stat(path).st_size
     except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
+        raise DataError(f"{path}: {reason(error)}") from error
     budget.require(size, MAX_IFC, "bytes", path, "export one storey, or the room alone")
     _require_sound(path)
     spaces: dict[str, Any] = {}
@@ -117,8 +118,8 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
         ) from error
     if len(triangles) > budget.MAX_FACES:
         raise DataError(
-            f"{path}: {len(triangles)} triangles; at most {budget.MAX_FACES} are read: simplify "
-            "the model"
+            f"{path}: the model has {len(triangles)} triangles, but at most "
+            f"{budget.MAX_FACES} are read: simplify the model"
         )
     polygons: list[Array] = []
     materials: list[str] = []

@@ -61,6 +61,7 @@ from rtcal.acoustics.observables import (
     of_kind,
     parameter_label,
 )
+from rtcal.files.disk import reason
 from rtcal.files.schema import RESPONSE, expecting
 from rtcal.io import budget, sofa
 from rtcal.io.table_columns import position_in
@@ -285,7 +286,7 @@ def _opened(path: str) -> Iterator[Any]:
                 "it as WAV or FLAC"
             ) from error
     except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
+        raise DataError(f"{path}: {reason(error)}") from error
 
 
 class Response(NamedTuple):

@@ -920,7 +920,9 @@ def _list_of_octaves(match: re.Match[str], offset: int, place: str, which: str =
     row = [token for token in row if token[0] != ":"]
     numbers(row, place)
     if not 6 <= len(row) <= 8:
-        raise DataError(f"{place}: {len(row)} values{which}; 6 to 8 octaves from 125 Hz are needed")
+        raise DataError(
+            f"{place}: {len(row)} values{which}, but 6 to 8 are needed, for the octaves from 125 Hz"
+        )
     return row
 
 
@@ -1031,7 +1033,8 @@ def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
             row = tokens(r"\S+", raw, start)
             if len(row) != len(_OF_ODEON):
                 raise DataError(
-                    f"{place}: {len(row)} values; give 8, for the octaves 63 Hz to 8 kHz"
+                    f"{place}: this line has {len(row)} values, but must have 8, for the "
+                    "octaves 63 Hz to 8 kHz"
                 )
             its_name = f"{int(head[1])} {head[2]}"
             decimals = _DECIMALS["odeon"]

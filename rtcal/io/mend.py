@@ -1278,7 +1278,9 @@ def room_of(
     """
     mend, n = shell.mend, sum(len(part.faces) for part in (shell, *others))
     if n > MOST_FACES:
-        raise mend.refused(f"{n} faces; at most {MOST_FACES}: simplify the model")
+        raise mend.refused(
+            f"the mesh has {n} faces, but at most {MOST_FACES} are read: simplify the model"
+        )
     hull, walls, overlays = shell.polyhedron(), Walls(shell), list[Cut]()
     placed, outside = list[_Placed](), list[FaceSet]()
     for part in sorted(others, key=lambda p: (p.is_plane, 0.0 if p.is_plane else -p.size)):
@@ -1493,7 +1495,8 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
         raise DataError(f"{faces.path}: the mesh has no face; a room needs at least 4")
     if len(faces.polygons) > 20 * MOST_FACES:
         raise DataError(
-            f"{faces.path}: has {len(faces.polygons)} faces; at most {20 * MOST_FACES} are read"
+            f"{faces.path}: the mesh has {len(faces.polygons)} faces, but at most "
+            f"{20 * MOST_FACES} are read: simplify the model"
         )
     if (closed := _closed_as_drawn(faces, weld)) is not None:
         return closed

@@ -128,7 +128,8 @@ class _File:
             raise
         except Exception as error:  # netCDF4 raises what it meets
             raise DataError(
-                f"{path}: cannot be read as SOFA: it is damaged, or does not follow AES69"
+                f"{path}: this file cannot be read as SOFA, because it is damaged or does "
+                "not follow AES69. Export it again"
             ) from error
         self.convention = self.attributes.get("SOFAConventions", "")
 

@@ -235,13 +235,14 @@ def parse(
     place, own = found[0].place, {*read.measurement.values} - {stated.parameter}
     if stated.parameter is not None and own and not any(table.parameter for table in found):
         raise DataError(
-            f'{place}: parameter="{stated.parameter}" is not used, because the table names its '
-            f"own: {', '.join(map(parameter_label, own))}; leave it out"
+            f'{place}: parameter="{stated.parameter}" is given, but the table names its '
+            f"own parameters ({', '.join(map(parameter_label, own))}). Leave this option "
+            "out"
         )
     if stated.decay_time is not None and not any(table.was_open for table in found):
         raise DataError(
-            f'{place}: decay_time="{stated.decay_time}" is not used, because nothing in the '
-            "table is called RT60 or T60; leave it out"
+            f'{place}: decay_time="{stated.decay_time}" is given, but nothing in the table '
+            "is called RT60 or T60. Leave this option out"
         )
     return read
 
@@ -379,7 +380,9 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
         header = header[:-1]
     place = f"{sheet.place}, line {line}"
     if len(header) > MAX_COLUMNS:
-        raise DataError(f"{place}: {len(header)} columns; at most {MAX_COLUMNS} are read")
+        raise DataError(
+            f"{place}: the table has {len(header)} columns, but at most {MAX_COLUMNS} are read"
+        )
     found = columns_of(header, options.where)
     if _has_split_decimals(found, header, body, sheet.separator):
         raise DataError(
@@ -946,8 +949,10 @@ class _Table:
         key = self._closed(named, place)
         if stated not in (None, key):
             raise DataError(
-                f'{place}: parameter="{stated}" is given, and the table\'s name '
-                f'"{shown(self.sheet.name)}" says {parameter_label(key)}; give only the right one'
+                f'{place}: parameter="{stated}" is given, but the '
+                "table's name "
+                f'"{shown(self.sheet.name)}" means {parameter_label(key)}. Leave this '
+                "option out, or rename the table"
             )
         return replace(named, parameter=key)
 
@@ -1025,7 +1030,8 @@ class _Table:
             if not parameter:
                 if "parameter" in entries:
                     raise DataError(
-                        f'{place}: parameter "{shown(entries["parameter"])}" is unknown'
+                        f'{place}: parameter "{shown(entries["parameter"])}" is unknown; '
+                        "write a name such as T20, EDT or C80"
                     )
                 titled = (c.parameter for t in self.titles if (c := _name_of(t)))
                 likely = next(titled, REVERBERATION[0].key)
@@ -1247,7 +1253,9 @@ def _measured(tables: Sequence[_Table], notes: list[str], options: _Options) -> 
         raise DataError("; ".join([f"{places}: no row with a value below the header", *unused]))
     pairs = list(dict.fromkeys(key[:2] for key in values))
     if len(pairs) > MAX_PAIRS:
-        raise DataError(f"{places}: {len(pairs)} positions; at most {MAX_PAIRS} are read")
+        raise DataError(
+            f"{places}: the table has {len(pairs)} positions, but at most {MAX_PAIRS} are read"
+        )
     if any(
         "standard_deviation" in v and not {"sources", "receivers"} <= {*v} for v in values.values()
     ):

@@ -205,7 +205,7 @@ class Prediction(TimeChange, Result):
         Raises DataError unless ``probability`` is between 0 and 1.
         """
         if not 0 < checks.number("probability", probability) < 1:
-            raise DataError(f"probability = {probability:g} is not between 0 and 1")
+            raise DataError(f"probability = {probability:g} must be between 0 and 1")
         return np.exp(np.quantile(self.samples, probability, axis=1))
 
     @property

@@ -274,7 +274,10 @@ class Polyhedron:
         inside = within & (distance(places, self.triangles) > WELD)
         for name, place, free in zip(points, places, inside, strict=True):
             if not free:
-                raise DataError(f'{kind} "{name}" = {_place(place)} is outside the room')
+                raise DataError(
+                    f'{kind} "{name}" = {_place(place)} is outside the room: check this '
+                    "position, and the size of the room"
+                )
         return places
 
     def positions(

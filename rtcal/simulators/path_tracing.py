@@ -845,9 +845,10 @@ def trace(
     most = MOST_LEAKED if geometry.leaks else MOST_LOST
     if lost > max(1, most * per_batch * len(jobs)):
         raise DataError(
-            f"{lost} of {per_batch * len(jobs)} paths hit no wall, at most {100 * most:g} % may: "
-            "the room's faces leave gaps or cut through each other. Mend the mesh (`rtcal import "
-            "check`), or use only reverberation equations (`rtcal import catalogue --open`)"
+            f"{lost} of {per_batch * len(jobs)} paths hit no wall, but at most "
+            f"{100 * most:g} % may, because the faces of the room leave gaps or cut "
+            "through each other. Repair the mesh with `rtcal import check`; or use only "
+            "reverberation equations, with `rtcal import catalogue --open`"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
     direct = direct_lengths(geometry, sources, receivers)

@@ -175,8 +175,8 @@ def _sum_of_pieces(
         checks.whole("workers", workers, 1)
         if scheduler is not None:
             raise DataError(
-                f"{workers} workers of this machine and a scheduler were given, which has workers of "
-                "its own: leave out one of the two"
+                f"workers = {workers} (of this machine) and a scheduler, which has workers "
+                "of its own, are both given: leave one of them out"
             )
     shown = progress_bar(count, "piece", checks.flag("progress", progress))
     with workforce(scheduler, workers) as pool, shown as bar:
