@@ -667,9 +667,10 @@ class Measurement:
     def from_file(cls, path: str) -> Measurement:
         """Read a measurement from a CSV file; `rtcal.acoustics.measurement` describes its format."""
         with expecting(TABLE, checks.path("path", path)):
+            text = read_text(path, MAX_BYTES)
             try:
-                rows = _rows_of(read_text(path, MAX_BYTES))
-            except DataError as error:
+                rows = _rows_of(text)
+            except _HeaderError as error:
                 raise DataError(
                     f"{error}. If the table has another layout, read it with `rtcal table {path}`"
                 ) from error
@@ -736,6 +737,10 @@ Place = tuple[str, str, str, float]
 """Source, receiver, parameter and band in Hz of a value."""
 
 
+class _HeaderError(DataError):
+    """Report a header of other columns: the table may have another layout."""
+
+
 def _rows_of(text: str) -> dict[Place, dict[str, float]]:
     """Return the rows of a CSV file's text."""
     header: list[str] = []
@@ -755,20 +760,21 @@ def _rows_of(text: str) -> dict[Place, dict[str, float]]:
                 )
             key, numbers = _row(dict(zip(header, cells, strict=True)))
             if key in rows:
-                cure = f"repeats at one place are {key[1]} and {key[1]}#2"
+                cure = f"If it is a repeat, name its receiver {key[1]}#2"
                 raise DataError(
-                    f"{parameter_label(key[2])} of {key[0]}, {key[1]} at {bands.label(key[3])} "
-                    f"is given twice; {'delete one of the means' if SUMMARY in key else cure}"
+                    f"{parameter_label(key[2])} of {key[0]}, {key[1]} at "
+                    f"{bands.label(key[3])} is given twice. "
+                    f"{'Delete one of the means' if SUMMARY in key else cure}"
                 )
         except csv.Error as error:
             raise DataError(
                 f"line {number}: not a line of comma-separated values: {error}"
             ) from error
         except DataError as error:
-            raise DataError(f"line {number}: {error}") from error
+            raise type(error)(f"line {number}: {error}") from error
         rows[key] = numbers
     if not header:
-        raise DataError(f"no rows; the first row must name the columns {', '.join(_COLUMNS)}")
+        raise _HeaderError(f"no rows; the first row must name the columns {', '.join(_COLUMNS)}")
     if not rows:
         raise DataError("no row with a value below the header")
     return rows
@@ -777,14 +783,16 @@ def _rows_of(text: str) -> dict[Place, dict[str, float]]:
 def _header(header: list[str], line: str) -> list[str]:
     """Return the columns of a header; DataError for one that is missing, unknown or given twice."""
     if repeated := next((c for c, n in Counter(header).items() if n > 1), None):
-        raise DataError(f'column "{repeated}" is given twice')
+        raise _HeaderError(f'column "{repeated}" is given twice')
     allowed = _COLUMNS + _OPTIONAL_COLUMNS
     if missing := [column for column in _COLUMNS if column not in header]:
         other = {s: n for s, n in ((";", '";"'), ("\t", "tabs")) if line.count(s) > line.count(",")}
         why = [f', since columns are separated by {n} and not by ","' for n in other.values()]
-        raise DataError(f'column "{missing[0]}" is missing{"".join(why[:1])}')
+        raise _HeaderError(f'column "{missing[0]}" is missing{"".join(why[:1])}')
     if unknown := [column for column in header if column not in allowed]:
-        raise DataError(f'column "{unknown[0]}" is not known; columns may be {", ".join(allowed)}')
+        raise _HeaderError(
+            f'column "{unknown[0]}" is not known; columns may be {", ".join(allowed)}'
+        )
     return header
 
 
