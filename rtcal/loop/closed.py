@@ -1314,8 +1314,9 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
         doubt = marks[0].sentence
     elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
         doubt = (
-            "every simulated T20 equals the measured T20 to the last digit. Probably this "
-            "table is the measurement, and not the simulation"
+            f"every simulated {loop.matched.time_label} equals the measured "
+            f"{loop.matched.time_label} to the last digit. Probably this table is the "
+            "measurement, and not the simulation"
         )
     elif same:
         step_is = "the last run" if same[-1] == len(loop.steps) else f"run {same[-1]}"
