@@ -269,21 +269,21 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
     ("changed", "said"),
     [
         (["--dimensions", "9 7"], r'sides: "9 7" has 2 numbers, but must have 3'),
-        (["--dimensions", "9m x 700cm x 3m"], "several units"),
+        (["--dimensions", "9m x 700cm x 3m"], "sides in different units"),
         (["--dimensions", "9x7x0"], "side = 0 m"),
         (["--floor", "xyzzy"], r'floor: the catalogue has no material like "xyzzy"'),
         (["--floor", "10 10 20 20 30 30"], r"floor: alpha = 10 at 125 Hz .* in percent"),
         (["--floor", "0.1 0.2"], "floor: .* has 2 numbers, but must have 1 or 6"),
         (["--floor", "125:0.1 250:0.1"], "floor: alpha at 500 Hz is missing"),
         (["--wall", "left=brick"], '"left" is not a wall; the walls are west, east'),
-        (["--window", "west:4.5=glazing"], "is not WALL=M2:MATERIAL"),
+        (["--window", "west:4.5=glazing"], "must have the form WALL=M2:MATERIAL"),
         (["--window", "up=4.5:glazing"], '"up" is not a surface; the surfaces are'),
         (
             ["--window", "west=40:glazing"],
             r'"west" has 21 m² left, and a patch must be smaller; glazing has 40 m²',
         ),
         (["--window", "west=-1:glazing"], "west=-1:glazing: area = -1 m²"),
-        (["--window", "west=1.5x3:glazing"], '"1.5x3" .* a piece is WALL=M2:MATERIAL'),
+        (["--window", "west=1.5x3:glazing"], '"1.5x3" .* A piece has the form WALL=M2:MATERIAL'),
         (["--floor", "-0.1"], "floor: alpha = -0.1 at 125 Hz"),
         (
             ["--floor", "xyzzy", "--ask"],
@@ -300,7 +300,7 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
             "--audience: 200 persons need 1 m² each, but the floor has only 63 m²",
         ),
         (["--temperature", "200"], "200"),
-        (["--out", "room.csv"], r"room.csv: .* use .toml"),
+        (["--out", "room.csv"], r"room.csv: .* Use .toml"),
     ],
 )
 def test_what_is_wrong_is_named_and_nothing_is_written(

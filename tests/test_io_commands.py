@@ -43,7 +43,7 @@ def test_a_catt_model_in_and_out(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert rt.Room.from_file(str(room)).areas.tolist() == [3.0]
     assert run("import", "catt", hall, "--out", room) == 2
     assert run("import", "catt", hall, "--volume", 5, "--area", "wood", "--out", room) == 2
-    assert "must have the form NAME=M2" in capsys.readouterr().err
+    assert "must have the form MATERIAL=M2" in capsys.readouterr().err
 
 
 def test_a_table_in(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -184,7 +184,7 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
     assert '"none_such" is not a material of the catalogue' in capsys.readouterr().err
     assert run(*command, "--catalogue", "brick wall=brick", *out) == 2
-    assert "similar: smooth_brickwork_flush_pointing: " in capsys.readouterr().err
+    assert "Similar entries: smooth_brickwork_flush_pointing: " in capsys.readouterr().err
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
     assert 'give --catalogue "material=carpet"' in capsys.readouterr().err

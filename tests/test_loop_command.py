@@ -116,7 +116,7 @@ def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, factor, step
     before = (tmp_path / "loop.json").read_bytes()
     table = simulate(tmp_path, 1.4 * factor)
     done = runner.invoke(cli, [*command, table, *files])
-    assert ": likely a typing error: simulated T is " in str(done.exception)
+    assert ": Likely a typing error: simulated T is " in str(done.exception)
     assert (tmp_path / "loop.json").read_bytes() == before
     done = runner.invoke(cli, [*command, table, *files, "--again"])
     assert done.exit_code == 0, done.output
@@ -163,5 +163,5 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     assert (tmp_path / "loop.json").read_bytes() == state
     (tmp_path / "next.toml").write_bytes(second)
     done = runner.invoke(cli, [*command, table, *files])
-    assert "its T is about that of the last run" in str(done.exception)
+    assert "T is about the same as in the last run" in str(done.exception)
     assert runner.invoke(cli, [*command, simulate(tmp_path), *files]).exit_code == 0

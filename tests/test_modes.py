@@ -258,7 +258,7 @@ def test_frequencies_at_the_end_of_the_search_and_wrong_sides():
     modes = heard(TRUTH)
     assert not any("Doubtful" in note for note in rt.calibrate_modes(ROOM, modes).notes)
     for factor in (1.06, 0.94):
-        with pytest.raises(DataError, match="more than is searched"):
+        with pytest.raises(DataError, match="more than rtcal searches"):
             rt.calibrate_modes(ROOM, replace(modes, frequencies=factor * modes.frequencies))
     for sides in (SIDES * [1.1, 1, 1], SIDES * [1, 1.1, 1], SIDES * [1, 1, 1.1]):
         _, room = box_room(sides)

@@ -366,7 +366,7 @@ def test_the_catalogue_is_listed_with_its_sources(capsys: pytest.CaptureFixture[
     assert vinyl["pages"] == catalogue.pages([p["name"] for p in vinyl["pieces"]])
     assert "carpet_thin" not in said
     assert run("materials", "xyzzy") == 2
-    assert 'nothing like "xyzzy"' in capsys.readouterr().err
+    assert 'no material like "xyzzy"' in capsys.readouterr().err
 
 
 def test_a_box_has_the_pieces_of_its_options(

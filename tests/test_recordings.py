@@ -151,9 +151,9 @@ def faults() -> dict[str, tuple[np.ndarray, str]]:
     played = sweep(rate)
     good = recorded(played, response(0.5, rate, rng), rate)
     return {
-        "silence": (np.zeros(5 * rate), "r.wav: silent"),
-        "the sweep": (np.concatenate([0.3 * played, np.zeros(rate)]), "it is the sweep itself"),
-        "noise": (0.1 * rng.standard_normal(6 * rate), "the sweep is not found in it"),
+        "silence": (np.zeros(5 * rate), "r.wav: is silent"),
+        "the sweep": (np.concatenate([0.3 * played, np.zeros(rate)]), "this is the sweep itself"),
+        "noise": (0.1 * rng.standard_normal(6 * rate), "the sweep is not found in this recording"),
         "another sweep": (
             recorded(sweep(rate, 4.0, 200), response(0.5, rate, rng), rate),
             "not found",
@@ -181,7 +181,7 @@ def test_exchanged_files_and_other_rates_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"s\.wav: .*exchanged"):
         recordings.from_sweep(s, r, bands=BANDS)
     other = written(tmp_path / "other.wav", of, 2 * rate)
-    with pytest.raises(DataError, match=r"rate of 32000 Hz, but that of the sweep .* is 16000 Hz"):
+    with pytest.raises(DataError, match=r"rate is 32000 Hz, but that of the sweep .* is 16000 Hz"):
         recordings.from_sweep(other, s, bands=BANDS)
     with pytest.raises(DataError, match=r"receiver r is given twice"):
         recordings.from_sweep([r, r], s, bands=BANDS)

@@ -876,7 +876,8 @@ class _Table:
         cure = "Delete the lines that are not part of the table"
         if self.options.columns:
             return cure
-        return cure + _proposed(self.sheet, self.at, self.options, ". Or give")
+        proposal = _proposed(self.sheet, self.at, self.options, ". Or give")
+        return cure if proposal.startswith("; and ") else cure + proposal
 
     def _set_positions(self, kinds: set[str]) -> None:
         """Set the position of values whose rows name none, and the sentences on positions."""

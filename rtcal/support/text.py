@@ -230,10 +230,10 @@ def decimal_comma(text: str) -> str:
     Examples
     --------
     >>> decimal_comma("[189,5, 20,25]"), decimal_comma("189.5")
-    (': a decimal has a point: 189.5', '')
+    ('. Write decimals with a point: 189.5', '')
     """
     found = re.search(r"(?<![\d.])(\d+),(\d+)(?!\d*\.)", text)
-    return f": a decimal has a point: {found[1]}.{found[2]}" if found else ""
+    return f". Write decimals with a point: {found[1]}.{found[2]}" if found else ""
 
 
 def printable(text: str) -> str:

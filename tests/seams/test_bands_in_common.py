@@ -26,7 +26,7 @@ IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
 }
 NOTES = {
     "alike": [],
-    "one more": ["Left out, not in the room: 4000 Hz."],
+    "one more": ["T at 4000 Hz is left out, because the room does not have this band."],
     "one fewer": ["Of 240 values 60 are missing, and left out."],
     "thirds": [
         "T is converted from third-octaves to octaves: the mean of 1/T over the three thirds."
@@ -70,7 +70,7 @@ def test_bands_in_common_are_compared(
 ) -> None:
     """Another shape than the model's ended it, after the search."""
     found = searched(bands)
-    about = ("Left out", "Of 240", "T is converted")
+    about = ("T at 4000 Hz", "Of 240", "T is converted")
     assert [note for note in found.notes if note.startswith(about)] == NOTES[bands]
     made = rt.finder.verify(found, cache=kept).gaps
     assert made.shape == gaps.shape
