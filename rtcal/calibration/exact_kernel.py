@@ -96,7 +96,7 @@ def solve_rows(
                 )
 
 
-@compiled(reorder=True)
+@compiled(reorder=True, inner=True)
 def careful(
     m: Array,
     g: Array,
@@ -138,7 +138,7 @@ def careful(
     return OK, fix(m, w, s, low, high, b, u * u, free, base, a)
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def at_end(
     m: Array,
     g: Array,
@@ -172,7 +172,7 @@ def at_end(
     return OK, d
 
 
-@compiled(reorder=True)
+@compiled(reorder=True, inner=True)
 def fix(
     m: Array,
     w: Array,
@@ -247,7 +247,7 @@ def fix(
     return d
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def meeting(m: Array, w: Array, low: Array, high: Array, a: Array) -> float:
     """Return D of the optimum at which all coefficients are at bounds; of several, the nearest to 0."""
     start, stop = -np.inf, np.inf

@@ -33,7 +33,7 @@ _DISTANCES = 2048
 """Distances from paths to planes that are computed together, by vector instructions; 16 kB of them."""
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def uniform(state: Any, step: Any) -> float:
     """Return the random number in [0, 1) that a state of 64 bits has after some steps."""
     z = state + step * _GOLDEN
@@ -43,7 +43,7 @@ def uniform(state: Any, step: Any) -> float:
     return float(z >> _S11) * 2.0**-53
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def hit(order: Any, begins: Any, plane: Any, sides: Array, x: float, y: float, z: float) -> int:
     """Return the triangle of a plane that contains a point of the plane, -1 if none does."""
     for number in range(begins[plane], begins[plane + 1]):
@@ -55,7 +55,7 @@ def hit(order: Any, begins: Any, plane: Any, sides: Array, x: float, y: float, z
     return -1
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def distances(rays: Array, n: int, planes: Array, k: int, out: Array, row: int) -> None:
     """Write to a row the distance of each ray to a plane, infinite from behind or parallel to it."""
     a, b, c, offset = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
@@ -65,7 +65,7 @@ def distances(rays: Array, n: int, planes: Array, k: int, out: Array, row: int) 
         out[row, j] = t if (approach > 0.0) & (t >= -1e-9) else np.inf
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def passages(rays: Array, n: int, centres: Array, r: int, square: float, out: Array) -> None:
     """Write to a receiver's row where each ray is nearest to it, infinite where it does not pass it."""
     a, b, c = centres[r, 0], centres[r, 1], centres[r, 2]
@@ -76,7 +76,7 @@ def passages(rays: Array, n: int, centres: Array, r: int, square: float, out: Ar
         out[r, j] = along if near & (along > 0.0) else np.inf
 
 
-@compiled(reorder=False)
+@compiled(reorder=False, inner=True)
 def first_of(rows: Array, n: int, least: Array, row_of: Any) -> None:
     """Write the least value of each of ``n`` columns, and the first row that has it."""
     for j in range(n):

@@ -101,14 +101,14 @@ def score(
     return squares, sums
 
 
-@compiled(reorder=True)
+@compiled(reorder=True, inner=True)
 def add(total: Array, factor: float, x: Array) -> None:
     """Add ``factor`` times ``x`` to the first values of ``total``."""
     for t in range(x.size):
         total[t] += factor * x[t]
 
 
-@compiled(reorder=True)
+@compiled(reorder=True, inner=True)
 def dot(x: Array, y: Array, count: int) -> float:
     """Return the product of the first ``count`` values."""
     total = 0.0

@@ -72,17 +72,21 @@ def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
-def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:
+def compiled(*, reorder: bool, inner: bool = False) -> Callable[[Kernel], Kernel]:
     """Return the decorator that compiles a function, which then runs without the interpreter's lock.
 
     ``reorder`` allows the compiler to reorder sums, which vector instructions need; for compensated
-    sums it must be False. NaN and infinities are handled correctly in both cases. The compiled function
-    is kept on disk; if no folder can be written, it is compiled in every run.
+    sums it must be False. NaN and infinities are handled correctly in both cases. ``inner`` is True for
+    a function that only compiled functions call: Python cannot call it then, and it takes less time to
+    compile. The compiled function is kept on disk; if no folder can be written, it is compiled in every
+    run.
     """
     import numba
 
     freedom = {"reassoc", "contract", "nsz"} if reorder else False
-    made = numba.njit(nogil=True, fastmath=freedom, error_model="numpy")
+    # Without the entry for C, which nothing uses, compiling takes a seventh less.
+    entries = {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner}
+    made = numba.njit(nogil=True, fastmath=freedom, error_model="numpy", **entries)
 
     def decorate(kernel: Kernel) -> Kernel:
         dispatcher = made(kernel)
