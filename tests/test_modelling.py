@@ -315,8 +315,9 @@ def test_two_configurations_determine_two_materials() -> None:
     joint = rt.calibrate(both, times, method="joint")
     assert np.abs(joint.alpha - truth).max() < np.abs(rt.calibrate(a, times[0]).alpha - truth).max()
     assert "configuration: drawn" in str(joint)
-    # The same room twice, exactly: dependent rows, still certified.
-    same = rt.Calibration(PRIOR).build(Configurations([a, a])).solve([times[0]] * 2)
+    # A room of twice the size with the same coefficients: dependent rows, still certified.
+    twice = a.replace(name="twice", volume=2 * a.volume, areas=2 * a.areas)
+    same = rt.Calibration(PRIOR).build(Configurations([a, twice])).solve([times[0]] * 2)
     np.testing.assert_allclose(same.alpha, rt.calibrate(a, times[0]).alpha, atol=1e-9)
 
 

@@ -260,6 +260,7 @@ class CalibrationProblem(Composition, Generic[R]):
         for one, measured_there in zip(rooms.rooms, times, strict=True):
             if one.calibration is not None:
                 refuse_repeated_data(one, measured_there.fingerprint)
+        _refuse_equal_states(rooms, times)
         numbers = problem.numbers(times, observed)
         try:
             limits = [match.target_limits(numbers) for match in problem.matches]
@@ -359,6 +360,17 @@ def measured_times(
         no_times(r) if t is None else times_in_room(r, t)
         for r, t in zip(configurations.rooms, measured, strict=True)
     ]
+
+
+def _refuse_equal_states(rooms: Configurations, times: Sequence[MeasuredTimes]) -> None:
+    """Raise DataError if two configurations have the same areas and the same measured T."""
+    given = [(t.fingerprint, areas.tobytes()) for t, areas in zip(times, rooms.areas, strict=True)]
+    for i, each in enumerate(given):
+        if each[0] and each in given[:i]:
+            raise DataError(
+                f'configurations "{rooms.names[given.index(each)]}" and "{rooms.names[i]}" have the '
+                "same areas and the same measured T: leave one out, because its T would count twice"
+            )
 
 
 def _candidates(program: qp.QP, at: Active, raw: Iterate) -> Iterator[Iterate]:

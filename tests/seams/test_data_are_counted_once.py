@@ -192,3 +192,18 @@ def test_few_rounded_values_are_equal_by_chance(value: float, said: bool) -> Non
         pairs=[("S1", "R1"), ("S1", "R2")],
     )
     assert bool(given_twice(heard)) == said
+
+
+@pytest.mark.parametrize("method", ["joint", "mle", "lse", "smooth", "robust"])
+def test_one_state_that_is_given_twice_is_refused(room_and_times, method: str) -> None:
+    """Its T counted twice, where the command refused the same files."""
+    room, times = room_and_times
+    both = rt.Configurations([room, room], ["empty", "again"])
+    with pytest.raises(DataError, match='"empty" and "again" have the same areas and the same'):
+        rt.calibrate(both, [times, times], method)
+
+
+def test_two_states_of_one_t_and_other_areas_are_two(room_and_times) -> None:
+    room, times = room_and_times
+    other = room.replace(areas=1.01 * room.areas)
+    rt.calibrate(rt.Configurations([room, other], ["one", "two"]), [times, times], "joint")
