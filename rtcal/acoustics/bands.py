@@ -153,7 +153,7 @@ def where(f: Array, chosen: NDArray[np.bool_], known: NDArray[np.bool_]) -> str:
     """Return in words which of the known bands are chosen.
 
     ``f`` (n_bands,) are the centre frequencies in Hz. ``chosen`` (n_bands,) is True for the bands to
-    name. ``known`` (n_bands,) is True for the bands that could be chosen: those with a measured T.
+    name. ``known`` (n_bands,) is True for the bands with a value, which could be chosen.
 
     Examples
     --------

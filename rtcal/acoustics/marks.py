@@ -610,9 +610,9 @@ def of_input(
 ) -> tuple[TrustMark, ...]:
     """Return the cautions about a room and its measured T that are printed before every result.
 
-    ``times`` (n_bands,) is the measured T in s, NaN where missing, which is compared with Eyring's T of
-    the input coefficients; None if no T was measured. ``mistyped`` are the cautions about single values
-    of T that `of_row` returns.
+    ``times`` (n_bands,) is the measured T in s, NaN where missing; None if no T was measured. It is
+    compared with Eyring's T of the input coefficients. ``mistyped`` are the cautions about single
+    values of T that `of_row` returns.
     """
     marks = of_surface(room)
     if room.dimensions is not None:

@@ -447,7 +447,7 @@ class DecaySlope(Relative):
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return the derivative d ln T / d E_j by the energy of each time bin.
 
-        T is -60 / slope, where the slope is that of the regression of L_k = DB ln(B_k / B_0) on k
+        T is -60 / slope, where the slope is that of the regression of L_k = 10 lg(B_k / B_0) on k
         within the range, and B_k is the energy from bin k on. With c_k = k - mean(k) it follows that
         d ln T = -sum c_k dL_k / (slope sum c_k²). The ends of the range move, too: if the curve at an
         end is r dB off the line, points enter or leave there at the rate of dL / slope bins, and each

@@ -262,7 +262,7 @@ class Directivity:
     Parameters
     ----------
     index : float or array (n_bands,), optional
-        Directivity index in dB per band, 0 (omnidirectional) to 25: the level on the axis above that
+        Directivity index in dB per band, 0 (omnidirectional) to 25: the level on the axis minus that
         of an omnidirectional source of the same power.
     aim : (x, y, z)
         Direction of the axis in the room's coordinates, of any length.

@@ -625,9 +625,9 @@ class Loop(Result):
     def follows(self, step: Step, last: Step) -> bool:
         """Return whether a step's simulated T changed as its coefficients did since the step ``last``.
 
-        If the coefficients change the equation's T by more than one JND, the simulated T must change by
-        at least a tenth of that, in all bands together. In halls with concentrated absorption it
-        changes by about half.
+        The simulated T must change by at least a tenth of the change of the equation's T, in all bands
+        together, if that is more than one JND. In halls with concentrated absorption, the simulated T
+        changes by about half as much as the equation's.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             wanted = np.log(self._expected(step, last) / last.simulated)

@@ -125,10 +125,10 @@ def not_measured(labels: Sequence[str]) -> str:
 
 
 def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]) -> str:
-    """Return a caution on T after the change by two equations, where the absorption is uneven.
+    """Return the caution that T after the change depends on the equation, as absorption is uneven.
 
-    ``label`` is the band. ``times`` has T in s by the calibration's equation and by Arau-Puchades'.
-    ``interval`` has the ends of the 90 % interval in s.
+    ``label`` is the band. ``times`` has T after the change in s by the calibration's equation and by
+    Arau-Puchades', in this order. ``interval`` has the ends of its 90 % interval in s.
     """
     (own, even), (_, of_axes) = times.items()
     low, high = interval

@@ -384,7 +384,7 @@ def add_energy(
 def histogram_gradient(
     batch: Batch, weighing: Weighing, groups: Any, counts: Array, out: Array, gradient: Array
 ) -> None:
-    """Add the energy at receivers to ``out``, and its sums weighted by wall hits to ``gradient``.
+    """Add the energy at receivers to ``out``, and to ``gradient`` that energy weighted by wall hits.
 
     ``batch`` and ``weighing`` are as in `histogram`. ``groups`` (n_codes,) is the group of each code of
     a wall hit, and ``counts`` (n_codes,) the number that a hit adds to the group's weight. ``out`` is
