@@ -62,9 +62,10 @@ def over_frequency(values: Array) -> str:
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
     """Return the probability of each explanation after the measurement, the most probable first.
 
-    Explanations are effects, "none", "coefficients" and "unknown". ``evidence`` has the ln Bayes factor
-    of each, and ``prior`` its probability before the measurement. The Bayes factor times this
-    probability, raised to the power `Prior.sharpness`, is scaled so that the results sum to 1.
+    Explanations are effects, "none", "unknown", and "coefficients": an error that all coefficients have
+    in common. ``evidence`` has the ln Bayes factor of each, and ``prior`` its probability before the
+    measurement. The Bayes factor times this probability, raised to the power `Prior.sharpness`, is
+    scaled so that the results sum to 1.
     """
     log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))

@@ -1182,7 +1182,7 @@ def cells_of(part: FaceSet) -> list[Cell]:
 
 
 def faces_around(cell: Cell, part: FaceSet, overlays: Sequence[Cut] = ()) -> FaceSet:
-    """Return the faces, or pieces of faces, around a space.
+    """Return the faces of ``part``, or pieces of them, that are around a space.
 
     ``overlays`` are pieces of faces that lie on others and replace the part that they cover. A face
     with the space on both of its sides becomes a plate of the thickness `THICKNESS`.

@@ -240,7 +240,7 @@ class Column:
 
 
 def stated(text: str) -> Column:
-    """Return the column that a text describes, in the form of `Column.meaning` or of a usual header.
+    """Return the meaning of a column that a text describes, as `Column.meaning` or a usual header does.
 
     Examples
     --------
@@ -471,7 +471,7 @@ def is_unused(text: str) -> bool:
 
 
 def frequency_of(text: str) -> float | None:
-    """Return a frequency in Hz, with or without its unit; None if the text is none.
+    """Return a frequency in Hz, with or without its unit; None if the text is no frequency.
 
     Examples
     --------

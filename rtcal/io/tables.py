@@ -276,7 +276,7 @@ def sheets_of(
     """Return the tables in a file: those of an instrument or a workbook, or else of a plain text.
 
     ``content`` is that of the file, and ``path`` its name in messages. ``where`` selects octaves or
-    third-octaves in a text of REW; None reads both. ``extra`` are headers that may be unknown.
+    third-octaves in a text of REW; None reads it as it is. ``extra`` are headers that may be unknown.
     """
     for module in FORMATS:
         if module.recognises(content):

@@ -299,9 +299,8 @@ def coefficients(
 
     ``room`` has the input coefficients. ``alpha`` are the calibrated ones, ``interval`` the ends of
     their 90 % interval, and ``at_bound`` is True for those that get a star; all are (n_materials,
-    n_bands). Without ``interval`` or ``at_bound``, the table has no intervals or stars. ``most`` are
-    the numbers of the materials that a page shows at first, ``of`` of those in the table; None means
-    all.
+    n_bands). Without ``interval`` or ``at_bound``, the table has no intervals or stars. ``of`` are the
+    numbers of the materials in the table, ``most`` of those that a page shows at first; None means all.
     """
     every = [*range(room.n_materials)] if of is None else [*of]
 

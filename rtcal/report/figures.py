@@ -640,7 +640,7 @@ def position_gaps(
     sources: Mapping[str, Sequence[float]],
     receivers: Mapping[str, Sequence[float]],
 ) -> Any:
-    """Return the plan of a room with receivers coloured by deviation, before and after calibration.
+    """Return plans of a room with receivers coloured by deviation, before and after calibration.
 
     The deviation of a receiver is the root mean square over parameters, bands and sources, in JND, and
     is written beside its name. ``sources`` and ``receivers`` are positions (x, y, z) in m, by name.

@@ -315,8 +315,9 @@ class Information:
     A hypothesis is a set of effects with given sizes. ``moments`` are the means and covariances of all
     m features (ln T20, C80 and others) that are or could be measured, under each of n hypotheses.
     ``weights`` (n,) are the probabilities of the hypotheses, and ``groups`` (n,) the numbers of their
-    sets of effects. ``measured`` (m,) is True for features that are measured already. Their ``values``
-    may be None, if the measurement is only planned. If not, ``weights`` are given these values.
+    sets of effects. ``measured`` (m,) is True for features that are measured already. ``values``
+    (n_measured,) are their values; None if the measurement is only planned. If they are given,
+    ``weights`` must be the probabilities after the measurement.
     """
 
     def __init__(

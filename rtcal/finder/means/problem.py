@@ -721,9 +721,9 @@ class ModelDiscrepancy:
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
     """Return the bias and the covariance of the model's error, estimated from reference rooms.
 
-    The bias is the mean of the simulators' mean errors, and of 0 (`bias_estimates`). The covariance is
-    the scatter between the rooms of each simulator plus the scatter between these means. Because the
-    rooms are few, the covariance is averaged with its own diagonal.
+    The bias is the mean over the simulators' mean errors and a further value of 0 (`bias_estimates`).
+    The covariance is the scatter between the rooms of each simulator plus the scatter between these
+    means. Because the rooms are few, the covariance is averaged with its own diagonal.
 
     Where a geometrical program's values are compared with the measurement, the sign of an error is not
     known. The bias is then 0, and each simulator's mean error enters the covariance.
@@ -1539,8 +1539,8 @@ class SetPosterior:
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
         """Return the effects that explain the data about as well as each effect of the set ``best``.
 
-        With another effect in place of the first one, the set has at least `DISTINCT` times the
-        probability of ``best``.
+        With such an effect in its place, the set has at least `DISTINCT` times the probability of
+        ``best``.
         """
         out = {}
         for name in best:

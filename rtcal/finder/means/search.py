@@ -602,9 +602,9 @@ def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
 
     Most mistakes of this size are wrong input: units of T, volume, areas or coefficients. They change T
     by the same factor in all bands. If the effect ``name`` explains the data much better than such a
-    factor, the doubt leaves its group identified. The result is None if the effect explains the data
-    much better than wrong units of T, and if parameters that alpha cannot fit show the effect by
-    themselves. ``gap`` has the deviations of these parameters.
+    factor, the doubt leaves its group identified. There is no doubt if the effect explains the data
+    much better than wrong units of T, and if parameters that alpha cannot fit, whose deviations ``gap``
+    has, show the effect by themselves.
     """
     problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]

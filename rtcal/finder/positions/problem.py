@@ -569,8 +569,8 @@ class Likelihood:
     measured. ``covariance`` (n, n) is that of all errors that do not depend on the hypothesis.
     ``nodes`` (n_bands, n_values, n_nodes) are, by the name of a surface or other cause, the changes of
     a band's values by each simulated amount of an effect, between which they are interpolated.
-    ``uneven`` (n_values, n_columns) are deviations of single pairs, for a change of the absorption by
-    1. ``amount`` (n_values,) are the weights that give the mean change of absorption from a band's
+    ``uneven`` (n_values, n_columns) are deviations of single pairs per unit change of the absorption.
+    ``amount`` (n_values,) are the weights that give the mean change of absorption from a band's
     changes. ``levels`` are the changes if the room scatters more or less.
     """
 

@@ -684,12 +684,12 @@ def with_index(tracer: PathTracing) -> dict[str, Directivity]:
 
 
 def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
-    """Return possible directivities of the sources, by the source's name.
+    """Return possible sets of the sources' directivities, each by the source's name.
 
-    In the first, sources without an input directivity aim at the middle of the receivers, in the others
-    along an axis, with the directivity index `LOBE_INDEX`. A source with an input index above 0 aims as
-    given, with an index that is larger by `INDEX_ERROR` in the first and by `OWN_INDEX_ERROR` in the
-    others. All other sources are as given.
+    In the first set, sources without an input directivity aim at the middle of the receivers, in the
+    others along an axis, with the directivity index `LOBE_INDEX`. A source with an input index above 0
+    aims as given, with an index that is larger by `INDEX_ERROR` in the first and by `OWN_INDEX_ERROR`
+    in the others. All other sources are as given.
     """
     middle = tracer.to_receivers.mean(axis=1)
     # A source in the middle of its receivers aims at none of them.
