@@ -4,7 +4,7 @@ Absorption was added or removed, the climate of the air is another, or both, or 
 
 ln T of a pair shifts by m + e. m is the shift of all pairs: the predicted one, with the errors of the
 spectrum and of the equation, what a remeasurement adds by itself, and what another climate adds, which
-is as uncertain as both climates (`climate_covariance`). e is what the pair has alone: noise of both
+is as uncertain as both climates (`_climate_covariance`). e is what the pair has alone: noise of both
 states, and a share of the shift. The noise of each pair has a scale of its own, so that e
 follows a multivariate t distribution over the pair's bands; all pairs together have a further one. The
 integral over m is Laplace's at the mode that Gauss-Newton steps find.
@@ -227,7 +227,9 @@ KINDS = {
 """Names of the groups of effects by the trend of their spectra over frequency."""
 
 
-def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
+def _climate_covariance(
+    room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+) -> Array:
     """Return the covariance in m⁴ of the difference of the air's absorption 4 m V between two climates.
 
     The shape is (n_bands, n_bands). Both climates are normally distributed about the room's climate,
@@ -289,7 +291,7 @@ class Baseline:
         air = 4 * room.air_attenuation[where] * room.volume
         made = cls(case.equation, room.total_area, area, air, np.zeros((len(area), len(area))))
         whole = made.whole(area) * np.sqrt(times[0][where] / times[1][where])
-        of_air = climate_covariance(room, case.climate_uncertainty)[np.ix_(where, where)]
+        of_air = _climate_covariance(room, case.climate_uncertainty)[np.ix_(where, where)]
         return replace(made, climate=of_air / np.outer(whole, whole))
 
     def after(self, size: Array) -> Array:
@@ -370,7 +372,7 @@ class Fits:
     shift: Array
 
 
-def chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
+def _chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
     """Return the p-value of the mean change of ln T over the pairs if only the climate differs.
 
     ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), and ``degrees`` is the number of
@@ -549,7 +551,7 @@ def find(
     detection = Detection(score, THRESHOLD)
     reasons = [Reason("one file")] if case.same else []
     if detection.verdict is None and probabilities.get(AIR, 0.0) >= CLAIMED:
-        chance = chance_of_climate(change, variance, baseline, degrees)
+        chance = _chance_of_climate(change, variance, baseline, degrees)
         if chance < _LEAST_CHANCE:
             reasons.append(Reason("not the climate alone", {"chance": chance}))
     asked = [name for name in tried(of_library) if name not in (*left_out, UNKNOWN)]
@@ -757,7 +759,7 @@ def _located(
         columns[:, :, level] = own[:, np.newaxis]
         others.append((ANOTHER_GAIN, columns, np.full(len(sources), GAIN**2)))
     if climate:
-        of_two = np.diag(climate_covariance(case.room, case.climate_uncertainty))
+        of_two = np.diag(_climate_covariance(case.room, case.climate_uncertainty))
         attenuation = tracer.room.air_attenuation + np.sqrt(of_two) / (4 * case.room.volume)
         in_it = _observed(weighing.energy(weighing.alpha, attenuation)[0], tracer, match)
         by_air = np.nan_to_num(np.moveaxis((in_it - base)[:, rows], 0, -1))

@@ -639,7 +639,7 @@ def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> 
         mend.found("twice", [name], area, 0.0, -area, unsure=unsure)
 
 
-def snapped(part: FaceSet) -> FaceSet:
+def _snapped(part: FaceSet) -> FaceSet:
     """Return the faces, with corners that are near an edge moved onto this edge.
 
     Because a moved corner moves its own edges, this is repeated up to four times.
@@ -679,7 +679,7 @@ def snapped(part: FaceSet) -> FaceSet:
     return cleaned(part)
 
 
-def joined(part: FaceSet) -> FaceSet:
+def _joined(part: FaceSet) -> FaceSet:
     """Return the faces of a mesh of triangles, with neighbours in one plane joined to one polygon.
 
     Only triangles of the same material are joined. The polygon has the name of its largest triangle.
@@ -761,7 +761,7 @@ _LOOPS = (
 )
 
 
-def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
+def _shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
     """Return the shell of a room, which may have holes, and the other components of the mesh.
 
     The shell is the component with the largest box around it that is not flat, and any single face that
@@ -834,7 +834,7 @@ def _note_others(shell: FaceSet, others: Sequence[FaceSet]) -> None:
     walls = Walls(shell)
     for part in others:
         is_open = bool(part.open_edges())
-        kind = "object" if not is_open else "overlay" if overlaid_on(walls, part) else "panel"
+        kind = "object" if not is_open else "overlay" if _overlaid_on(walls, part) else "panel"
         shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
 
 
@@ -963,7 +963,7 @@ _MOST_OF_ROOM = 1 / 3
 """Largest share of the walls that an object has behind it: faces that have more divide a room."""
 
 
-class Cut(NamedTuple):
+class _Cut(NamedTuple):
     """Hold a piece of a face that lies on a wall.
 
     ``wall`` is the number of the wall, ``shape`` the outline of the piece in the wall's plane, and
@@ -1001,14 +1001,14 @@ class Walls:
         return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
 
 
-def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
+def _overlaid_on(walls: Walls, part: FaceSet) -> list[_Cut]:
     """Return the pieces of a plane component on the walls that it lies on; empty if it lies on none."""
     mend, corners = part.mend, part.points
     normal, thick = best_plane(corners)
     if thick > max(mend.weld, PLANARITY):
         return []
     cuts = [
-        Cut(i, piece, face, away)
+        _Cut(i, piece, face, away)
         for i, wall in walls.near(corners)
         if (away := wall.thickness(corners)) <= OFFSET and abs(wall.normal @ normal) > 0.99
         for face in part.faces
@@ -1019,7 +1019,7 @@ def overlaid_on(walls: Walls, part: FaceSet) -> list[Cut]:
     return cuts if sum(cut.shape.area for cut in cuts) >= COVERED * part.size else []
 
 
-def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
+def _put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
     """Move faces of a closed object that are near a wall, and parallel to it, onto this wall.
 
     A face is near if it is at most ``weld`` in front of a wall, or reaches at most `OFFSET` through one
@@ -1059,7 +1059,7 @@ def put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
         )
 
 
-def stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
+def _stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
     """Move open edges of an open object that are at most `OFFSET` from walls onto these walls.
 
     Returns the standard uncertainty in m² by which this changes the areas, by material.
@@ -1073,7 +1073,7 @@ def stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
             if abs(wall.away(point)) <= OFFSET and beside <= OFFSET:
                 used.append(wall)
     for face in part.faces:
-        for cut in overlaid_on(walls, FaceSet(mend, [face])):
+        for cut in _overlaid_on(walls, FaceSet(mend, [face])):
             for v in face.corners * (cut.away <= mend.weld):
                 onto.setdefault(v, []).append(walls.planes[cut.wall])
     shift = _move(part, onto)
@@ -1108,7 +1108,7 @@ _PLATE = 1e-5
 
 
 @dataclass
-class Cell:
+class _Cell:
     """Hold a space that faces enclose.
 
     ``volume`` is in m³; below 0 for the outside of faces that hang free in a space. ``triangles`` (n,
@@ -1129,7 +1129,7 @@ class Cell:
         return np.asarray(areas, dtype=float).reshape(n, 2)
 
 
-def cells_of(part: FaceSet) -> list[Cell]:
+def _cells_of(part: FaceSet) -> list[_Cell]:
     """Return the spaces that faces enclose, the largest first.
 
     They are the cavities in the union of thin plates, one for each triangle, which overlap at edges.
@@ -1165,7 +1165,7 @@ def cells_of(part: FaceSet) -> list[Cell]:
         found = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, int)]
         of, plane = np.divmod(np.asarray(mesh.face_id, np.int64), 5)
         sides = np.where(plane < 2, 2 * index[of] + plane, -1)
-        surfaces.append(Cell(-surface.volume(), found + centre, sides))
+        surfaces.append(_Cell(-surface.volume(), found + centre, sides))
     cells = sorted((s for s in surfaces if s.volume > SAME), key=lambda s: s.volume)
     inner = [s for s in surfaces if s.volume < 0]
     for cell in cells:  # what hangs free is in the smallest cell around it
@@ -1181,7 +1181,7 @@ def cells_of(part: FaceSet) -> list[Cell]:
     return sorted(cells, key=lambda cell: -cell.volume)
 
 
-def faces_around(cell: Cell, part: FaceSet, overlays: Sequence[Cut] = ()) -> FaceSet:
+def _faces_around(cell: _Cell, part: FaceSet, overlays: Sequence[_Cut] = ()) -> FaceSet:
     """Return the faces of ``part``, or pieces of them, that are around a space.
 
     ``overlays`` are pieces of faces that lie on others and replace the part that they cover. A face
@@ -1218,7 +1218,7 @@ def faces_around(cell: Cell, part: FaceSet, overlays: Sequence[Cut] = ()) -> Fac
     return flattened(out.kept([2 * area_of(p) > FINE * extent_of(p) for p in out.polygons]))
 
 
-def _sharpen(mend: Mending, cell: Cell, number: Array, first: int) -> None:
+def _sharpen(mend: Mending, cell: _Cell, number: Array, first: int) -> None:
     """Move a cell's corners from this number on, where plates cross, by half of their thickness."""
     edges = cell.triangles - np.roll(cell.triangles, 1, axis=1)
     normals = np.cross(edges[:, 0], edges[:, 1])
@@ -1267,7 +1267,7 @@ class _Placed:
     unsure: Mapping[str, float]
 
 
-def room_of(
+def _room_of(
     shell: FaceSet, others: Sequence[FaceSet], as_it_is: Polyhedron | None = None
 ) -> Polyhedron:
     """Return the room in a closed shell, with the objects, panels and overlays in it.
@@ -1281,7 +1281,7 @@ def room_of(
         raise mend.refused(
             f"the mesh has {n} faces, but at most {MOST_FACES} are read: simplify the model"
         )
-    hull, walls, overlays = shell.polyhedron(), Walls(shell), list[Cut]()
+    hull, walls, overlays = shell.polyhedron(), Walls(shell), list[_Cut]()
     placed, outside = list[_Placed](), list[FaceSet]()
     for part in sorted(others, key=lambda p: (p.is_plane, 0.0 if p.is_plane else -p.size)):
         is_in, is_open = is_within(hull, part), bool(part.open_edges())
@@ -1292,7 +1292,7 @@ def room_of(
             mend.found(kind, part.names[:1], part.size, unsure=shares)
             outside.append(part)
             continue
-        if is_open and (cuts := overlaid_on(walls, part)):
+        if is_open and (cuts := _overlaid_on(walls, part)):
             moved = sum(cut.away * float(cut.shape.area) for cut in cuts)
             # The reveal from the wall to the face is not drawn; it may be of the face's material.
             reveals = [(c.face.material, ANY_SHARE * c.away * float(c.shape.length)) for c in cuts]
@@ -1301,18 +1301,18 @@ def room_of(
             continue
         unsure: Mapping[str, float] = {}
         if not is_open:
-            put_on_walls(walls, part, len(shell.faces))
+            _put_on_walls(walls, part, len(shell.faces))
         elif not part.is_plane:
-            unsure = stand_on_walls(walls, part)
+            unsure = _stand_on_walls(walls, part)
         placed.append(_Placed(part, walls.add(part), is_open, is_in, unsure))
     touch = any(defect.kind == "contact" for defect in mend.defects)
     # A room of less than half of the shell's volume is the space in walls drawn with their thickness.
     if as_it_is is not None and not touch and 2 * as_it_is.volume > hull.volume:
         return as_it_is
-    cells = [Cell(hull.volume, hull.triangles, 2 * hull.triangle_faces)]
+    cells = [_Cell(hull.volume, hull.triangles, 2 * hull.triangle_faces)]
     unseen = set[frozenset[int]]()
     if placed:
-        cells = cells_of(walls.all)
+        cells = _cells_of(walls.all)
         if sum(cell.volume for cell in cells) < _LEAST_ENCLOSED * hull.volume:
             raise DataError(
                 "the walls do not close: there is a gap between faces of objects or walls"
@@ -1327,10 +1327,10 @@ def room_of(
             mend.found("outside", shell.names[:1], shell.size)
     note_repetitions(mend, unseen)
     _require_shell(shell, outside)
-    return faces_around(cells[0], walls.all, overlays).polyhedron()
+    return _faces_around(cells[0], walls.all, overlays).polyhedron()
 
 
-def _require_one_room(mend: Mending, cells: Sequence[Cell], walls: Walls, n_shell: int) -> None:
+def _require_one_room(mend: Mending, cells: Sequence[_Cell], walls: Walls, n_shell: int) -> None:
     """Raise MeshError if two spaces each have much of the walls around all, and nothing beyond them."""
     n = len(walls.planes)
     seen = [cell.seen(n) for cell in cells]
@@ -1347,7 +1347,7 @@ def _require_one_room(mend: Mending, cells: Sequence[Cell], walls: Walls, n_shel
             )
 
 
-def _noted(placed: Sequence[_Placed], cells: Sequence[Cell], n: int) -> list[FaceSet]:
+def _noted(placed: Sequence[_Placed], cells: Sequence[_Cell], n: int) -> list[FaceSet]:
     """Note what the components are by which of their sides the room has; return those outside it.
 
     The first of the cells is the room.
@@ -1422,7 +1422,7 @@ _LEAST_SHARE = 0.05
 """Least volume of the room, as a share of that of the box around the solids."""
 
 
-def room_between(part: FaceSet) -> FaceSet | None:
+def _room_between(part: FaceSet) -> FaceSet | None:
     """Return the faces around the largest cavity between closed solids, such as walls drawn as solids.
 
     Returns None if the faces are not several closed solids, or if one of them may be the room. Raises
@@ -1440,13 +1440,13 @@ def room_between(part: FaceSet) -> FaceSet | None:
     if not any(thin):
         return None
 
-    def is_air(cell: Cell) -> bool:
+    def is_air(cell: _Cell) -> bool:
         """Return whether a space is in no solid, just before its largest triangle."""
         triangle = max(cell.triangles, key=area_of)
         before = triangle.mean(axis=0) + _BEFORE * normal_of(triangle)  # out of its plate
         return not any(solid.contains([before]).any() for solid in solids)
 
-    cavities = [cell for cell in cells_of(part) if is_air(cell)]
+    cavities = [cell for cell in _cells_of(part) if is_air(cell)]
     box = float(np.prod(np.ptp(mend.points, axis=0)))
     if not cavities or cavities[0].volume < _LEAST_SHARE * box:
         if not all(thin):
@@ -1463,7 +1463,7 @@ def room_between(part: FaceSet) -> FaceSet | None:
         sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
     mend.found("solids", [group.faces[0].name for group in groups], done=done)
-    return faces_around(room, part)
+    return _faces_around(room, part)
 
 
 def _solids(part: FaceSet) -> list[FaceSet]:
@@ -1501,12 +1501,12 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
     if (closed := _closed_as_drawn(faces, weld)) is not None:
         return closed
     drawn = welded(Mending(faces, max(weld, SAME), largest_hole))
-    part = room_between(drawn) or drawn
-    part = flattened(snapped(joined(without_repetitions(part))))
-    mend, (shell, others) = part.mend, shell_of(part)
+    part = _room_between(drawn) or drawn
+    part = flattened(_snapped(_joined(without_repetitions(part))))
+    mend, (shell, others) = part.mend, _shell_of(part)
     try:
         shell = without_holes(shell, others)
-        return mend.result(room_of(shell, others))
+        return mend.result(_room_of(shell, others))
     except DataError as error:
         refused = error if isinstance(error, MeshError) else mend.refused(f"after mending, {error}")
         raise as_drawn(
@@ -1525,10 +1525,10 @@ def _closed_as_drawn(faces: Faces, weld: float) -> Mended | None:
         mend.points = np.array(geometry.vertices)
         corners = map(list, geometry.faces)
         part = FaceSet(mend, map(Face, corners, geometry.materials, geometry.names))
-        shell, others = shell_of(part)
+        shell, others = _shell_of(part)
         hull = shell.polyhedron()
         if not all(is_within(hull, other) for other in others):
             return None
-        return mend.result(room_of(shell, others, geometry))
+        return mend.result(_room_of(shell, others, geometry))
     except DataError:  # not closed, or a defect that is named later
         return None

@@ -41,7 +41,7 @@ _REMAINS = 1.0
 """Root mean square deviation in JND, audible, from which the page begins with what remains."""
 
 
-def gap_table(
+def _gap_table(
     parameters: Sequence[str],
     pairs: Sequence[Pair],
     before: Array,
@@ -86,14 +86,14 @@ def blocks(result: PositionsResult) -> list[Block]:
             f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
         ),
         *(Note(f"Caution: {caution}") for caution in result.every_note[last:]),
-        gap_table(
+        _gap_table(
             result.parameters,
             result.pairs,
             result.gap_before,
             result.gap_after,
             misfit=result.misfit,
         ),
-        *([gap_table(more, result.pairs, *ends, f"Not matched: {_DEVIATION}")] if more else []),
+        *([_gap_table(more, result.pairs, *ends, f"Not matched: {_DEVIATION}")] if more else []),
         _material_table(result),
         Note(f"Use the coefficients with no other simulator than {result.simulator}."),
         *(Note(f"Note: {note}") for note in result.every_note[bool(result.warning) : last]),
@@ -285,7 +285,7 @@ def _held_out(result: PositionsResult) -> list[Any]:
             "These pairs were measured and excluded from the fit, so they test it. Their root mean "
             f"square deviation went from {rms(left.gap_before):.1f} to {rms(left.gap_after):.1f} JND."
         ),
-        gap_table(left.parameters, left.measured.pairs, left.gap_before, left.gap_after),
+        _gap_table(left.parameters, left.measured.pairs, left.gap_before, left.gap_after),
         Table(
             bands.labels(result.prior.centre_frequencies),
             _times(left),

@@ -422,7 +422,7 @@ def misfit(
     m, n_errors) are relative errors that bands have in common (`Effect.errors_over_bands`). ``alone``
     (...) is the standard deviation of the relative error that each feature has by itself.
     """
-    columns = misfit_columns(d, amount, feature, errors)
+    columns = _misfit_columns(d, amount, feature, errors)
     own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
     out = columns @ columns.swapaxes(-1, -2)
     rows = np.arange(out.shape[-1])
@@ -430,7 +430,7 @@ def misfit(
     return np.asarray(out)
 
 
-def misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: Array) -> Array:
+def _misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: Array) -> Array:
     """Return the errors of an effect's equation that bands have in common, (..., m, n_errors + 2).
 
     Each column is one standard deviation of an independent error of m features. The last two columns
@@ -924,7 +924,7 @@ _AT_ONCE = 32  # hypotheses
 _ELEMENTS = 4_000_000  # numbers in an array of covariances: 32 MB
 
 
-def log_likelihoods(
+def _log_likelihoods(
     parts: Iterable[Moments],
     values: Array,
     ends: Sequence[int],
@@ -971,7 +971,7 @@ def log_density(residual: Array, covariance: Array) -> Array:
     """Return the log densities (n,) of a residual (m,) under each of the covariances (n, m, m)."""
     n = len(covariance)
     of = Moments(np.zeros((n, len(residual))), covariance.copy(), np.zeros((n, 0, len(residual))))
-    (log,), _ = log_likelihoods([of], residual[None], [len(residual)], off=False)
+    (log,), _ = _log_likelihoods([of], residual[None], [len(residual)], off=False)
     return np.asarray(log[:, 0])
 
 
@@ -1055,12 +1055,12 @@ def evaluate(
     ends = [*ends, len(problem.observed.values)]
     y = np.atleast_2d(problem.observed.values if values is None else values)
     alpha, other = problem.covariance_of(0)
-    unknown = unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
+    unknown = _unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
     n, (draws, m) = len(problem.predicted.names), y.shape
     # A few hypotheses at a time, so that their covariances stay in the processor's cache.
     step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
     of_rows = (problem.moments(slice(begin, begin + step)) for begin in range(0, n, step))
-    likelihoods = log_likelihoods(of_rows, y, ends, off=prior_off > 0)
+    likelihoods = _log_likelihoods(of_rows, y, ends, off=prior_off > 0)
     for likelihood in likelihoods:
         likelihood[:, ~problem.predicted.possible] = _IMPOSSIBLE
     parts = [*likelihoods, unknown]
@@ -1113,7 +1113,7 @@ _FLAT = 0.1
 """Evidence in nats that the last four steps must have gained for a grid to go on."""
 
 
-def unknown_evidence(
+def _unknown_evidence(
     residual: Array,
     covariance: Array,
     used: Array,
@@ -1141,7 +1141,7 @@ def unknown_evidence(
         covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra,
         np.zeros(0),
     )
-    log, _ = log_likelihoods([of], residual, ends, off=False, coarsened=coarsened)
+    log, _ = _log_likelihoods([of], residual, ends, off=False, coarsened=coarsened)
     return np.asarray(logsumexp(log, axis=1) - np.log(len(UNKNOWN_SIZES)))
 
 
@@ -1334,7 +1334,7 @@ class Screen:
         _, f, b = compared.places
         alpha, other = compared.covariance_of(0)
         smooth = predicted.spectrum_errors[:, :, :2].take(b, 1)
-        error = misfit_columns(change, amount, f, smooth)
+        error = _misfit_columns(change, amount, f, smooth)
         residual = compared.residual(0)
         for i in base:
             residual = residual - change[i]
@@ -1392,7 +1392,7 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool)
             yield of
 
     values = compared.observed.values[None]
-    both = log_likelihoods(parts(), values, [values.shape[1]], off=off, coarsened=False)
+    both = _log_likelihoods(parts(), values, [values.shape[1]], off=off, coarsened=False)
     log = np.stack([of_all[0, :, 0] for of_all in both], axis=1)
     return np.where(np.concatenate(possible)[:, None], log, -np.inf)
 
@@ -1444,7 +1444,7 @@ def unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
     used = compared.observed.used
     return np.array(
         [
-            unknown_evidence(r[None], covariance, used, ends, coarsened=False)[0, 0]
+            _unknown_evidence(r[None], covariance, used, ends, coarsened=False)[0, 0]
             for r, covariance in zip(residual, of.covariance, strict=True)
         ]
     )

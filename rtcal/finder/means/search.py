@@ -361,7 +361,7 @@ def _candidates(
 
 
 def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Candidate:
-    """Return a candidate's parameters and its size (`estimate_size`); its probability is left open."""
+    """Return a candidate's parameters and its size (`_estimate_size`); its probability is left open."""
     problem, case = evidence.problem, evidence.problem.case
     found = Candidate(
         effect=name, family=family_of(name, problem.predicted.effects), probability=0.0
@@ -369,7 +369,7 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Candidate:
     probability = 1.0
     if name != COEFFICIENTS:
         effect = problem.predicted.effects[name]
-        likely, size = estimate_size(evidence, name, precise=precise)
+        likely, size = _estimate_size(evidence, name, precise=precise)
         material = effect.material(likely, case.room)
         place = "" if material is None else f'"{material}"'
         found = replace(found, parameters=likely, place=place)
@@ -404,7 +404,7 @@ AT_END = 2.0
 """Evidence in nats below that of the best size from which the last size that is tried is no end."""
 
 
-def estimate_size(
+def _estimate_size(
     evidence: MeansEvidence, name: str, *, precise: bool = True
 ) -> tuple[Parameters, Size | None]:
     """Return the most probable parameters of the effect ``name``, and its size with a 90 % interval.

@@ -329,7 +329,7 @@ def stated_room(case: PositionsCase) -> RoomState:
     return RoomState.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
 
 
-def whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
+def _whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
     """Return the hypotheses of an effect on the whole room: another climate, or another volume.
 
     ``effect`` is `OmittedAir` or `WrongVolume`. Another volume means that all lengths of the geometry
@@ -401,7 +401,7 @@ def shifts(
     standing = [*on_surfaces([*tried.values()]), *([COUPLED] if COUPLED.name in tried else [])]
     out = [each for effect in standing for each in _standing(case, effect)]
     out += materials(case) if COEFFICIENTS not in without else []
-    return out + [whole_room(case, tried[name]) for name in WHOLE if name in tried]
+    return out + [_whole_room(case, tried[name]) for name in WHOLE if name in tried]
 
 
 def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
