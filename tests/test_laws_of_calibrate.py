@@ -97,6 +97,39 @@ def test_twice_the_areas_and_the_volume_is_the_same_room(method, equation, kind)
     assert second.verdict.level == first.verdict.level
 
 
+@pytest.mark.parametrize(("method", "equation", "kind"), cases())
+def test_a_room_of_another_size_without_air_has_t_in_proportion(method, equation, kind) -> None:
+    """T of the same coefficients grows with the length, and that is all that a calibration sees."""
+    given = room(4, **STATED[kind]).replace(air=None, climate_sigma=(0, 0))
+    larger = given.replace(volume=2.3**3 * given.volume, areas=2.3**2 * given.areas)
+    t = equation.reverberation_time(given) * np.array([1.1, 0.8, 1.3, 0.9, 1.2])
+    assert equation.reverberation_time(larger) == pytest.approx(
+        2.3 * equation.reverberation_time(given), rel=1e-12
+    )
+    first, second = (calibrated(r, s, method, equation) for r, s in ((given, t), (larger, 2.3 * t)))
+    np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(second.posterior_sigma, first.posterior_sigma, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [{}, {"common_alpha_sigma": 0.15}])
+@pytest.mark.parametrize("method", ["mle", "soft", "smooth"])
+def test_a_material_in_two_parts_that_err_alike_is_one(method: str, kind: dict[str, Any]) -> None:
+    """The smoothness of the two parts counted twice."""
+    whole = room(5, **kind)
+    rows = [0, 1, 1, 2, 3]
+    parts = whole.replace(
+        materials=["carpet", "boards", "boards behind", "glass", "door"],
+        areas=[34, 50, 30, 14, 6],
+        alpha=whole.alpha[rows],
+        sigma=whole.sigma[rows],
+        material_correlation={("boards", "boards behind"): 1 - 1e-7},
+    )
+    t = rt.Eyring().reverberation_time(whole) * np.array([0.8, 1.3, 1.1, 0.9, 1.2])
+    one, two = (calibrated(r, t, method, rt.Eyring()) for r in (whole, parts))
+    np.testing.assert_allclose(two.alpha, one.alpha[rows], rtol=0, atol=1e-5)
+    np.testing.assert_allclose(two.posterior_sigma, one.posterior_sigma[rows], rtol=1e-3)
+
+
 def test_where_a_held_coefficient_would_be_without_its_bound() -> None:
     """One surface, so that the unbounded estimate is (mu / sigma² + a / s²) / (1 / sigma² + 1 / s²)."""
     room = rt.Room(

@@ -50,7 +50,7 @@ METHODS: dict[str, Callable[[PriorDeviation, bool], Calibration]] = {
     "lse": lambda prior, uncertain: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
     "soft": lambda prior, uncertain: Calibration(_soft(prior, uncertain)),
     "smooth": lambda prior, uncertain: Calibration(
-        _soft(prior, uncertain) + _SMOOTHING * BandSmoothness()
+        _soft(prior, uncertain) + _SMOOTHING * BandSmoothness(prior.material_correlation)
     ),
     "robust": lambda prior, uncertain: Calibration(_soft(HuberDeviation(), uncertain)),
     "joint": lambda prior, uncertain: Calibration(_soft(prior, uncertain)),

@@ -313,15 +313,7 @@ class PriorDeviation(Term):
             raise ModelError(
                 f"band_correlation {self.band_correlation:g} must be from 0 to below 1"
             )
-        pairs = self.material_correlation
-        if not isinstance(pairs, tuple):
-            # Kept as a tuple: a term is hashable, so that its compiled problem is found again.
-            pairs = tuple(checks.mapped("material_correlation", pairs).items())
-        for pair, r in pairs:
-            if not (isinstance(pair, tuple) and len(pair) == 2):
-                raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
-            checks.number(f"material_correlation of {pair}", r)
-        object.__setattr__(self, "material_correlation", pairs)
+        object.__setattr__(self, "material_correlation", _pairs(self.material_correlation))
 
     @property
     def correlated(self) -> bool:
@@ -353,25 +345,45 @@ class PriorDeviation(Term):
         return np.concatenate([alpha, columns[layout.n_alpha :]])
 
 
-@functools.lru_cache(maxsize=16)
-def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]:
-    """A root of R (of materials times of bands), the inverse of R, and its largest eigenvalue."""
-    parts: list[Any] = [np.eye(layout.n_alpha_rows if term.material_correlation else 1)]
-    for (a, b), r in term.material_correlation:
+def _pairs(stated: Any) -> tuple[Any, ...]:
+    """Correlations of materials as a tuple: a term is hashable, so that its problem is found again."""
+    pairs = stated
+    if not isinstance(pairs, tuple):
+        pairs = tuple(checks.mapped("material_correlation", pairs).items())
+    for pair, r in pairs:
+        if not (isinstance(pair, tuple) and len(pair) == 2):
+            raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+        checks.number(f"material_correlation of {pair}", r)
+    return pairs
+
+
+def _root_of_materials(pairs: tuple[Any, ...], layout: Layout) -> Array:
+    """A root of the materials' correlation; of one material where no pair has any."""
+    correlation = np.eye(layout.n_alpha_rows if pairs else 1)
+    for (a, b), r in pairs:
         i, j = (layout.index(name)[0] // layout.n_bands for name in (a, b))
         if i == j:
             raise ModelError(
                 f'material_correlation: "{a}" and "{b}" share their coefficients, so they cannot '
                 "have a correlation; leave this pair out"
             )
-        parts[0][i, j] = parts[0][j, i] = r
-    parts.append(bands.correlation(np.array(layout.centre_frequencies), term.band_correlation))
+        correlation[i, j] = correlation[j, i] = r
     try:
-        roots = [np.linalg.cholesky(part) for part in parts]
+        return np.asarray(np.linalg.cholesky(correlation))
     except np.linalg.LinAlgError as error:
         raise ModelError("material_correlation is not positive definite") from error
+
+
+@functools.lru_cache(maxsize=16)
+def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]:
+    """A root of R (of materials times of bands), the inverse of R, and its largest eigenvalue."""
+    of_bands = bands.correlation(np.array(layout.centre_frequencies), term.band_correlation)
+    roots: list[Any] = [
+        _root_of_materials(term.material_correlation, layout),
+        np.linalg.cholesky(of_bands),
+    ]
     # Where no materials are correlated, each has the same part.
-    alike = sp.eye_array(layout.n_alpha_rows // len(parts[0]))
+    alike = sp.eye_array(layout.n_alpha_rows // len(roots[0]))
     root = sp.csr_array(sp.kron(alike, sp.kron(*roots)))
     whitener = sp.csr_array(sp.kron(alike, sp.kron(*map(np.linalg.inv, roots))))
     inverse = sp.csr_array(whitener.T @ whitener)
@@ -631,12 +643,23 @@ class BandSmoothness(Term):
     """Term that keeps the changes of a material's coefficients similar in neighbouring bands.
 
     The term is ½ sum (x_k+1 - x_k)² / d_k, with the deviation x = (alpha - mu) / sigma from the input
-    and d_k octaves between bands k and k+1.
+    and d_k octaves between bands k and k+1. With a correlation R of materials the square of a step s is
+    s'R⁻¹s, so that a material that is stated in two parts counts once.
 
     When to use it: with `SoftMatch` or bands without T, when a material's error is expected to change
     slowly over frequency. The term smooths the change and not alpha, so that a resonant absorber
     keeps its peak. docs/modelling.md says when it changes nothing.
+
+    Parameters
+    ----------
+    material_correlation : mapping of pairs to float
+        Correlation of two materials' errors, as in `PriorDeviation`.
     """
+
+    material_correlation: Any = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "material_correlation", _pairs(self.material_correlation))
 
     def __call__(self, m: Model) -> Any:
         """½ |differences|²; coefficients with sigma = 0 stand apart."""
@@ -649,7 +672,10 @@ class BandSmoothness(Term):
             return np.asarray((moves[:, 1:] & moves[:, :-1]) / np.sqrt(octaves))
 
         factor = m.parameter((m.layout.n_alpha_rows, m.layout.n_bands - 1), steep)
-        return half_squares(product(factor, cp.diff(m.deviation, axis=1)))
+        steps = product(factor, cp.diff(m.deviation, axis=1))
+        if self.material_correlation:
+            steps = np.linalg.inv(_root_of_materials(self.material_correlation, m.layout)) @ steps
+        return half_squares(steps)
 
 
 @dataclass(frozen=True)
