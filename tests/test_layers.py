@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import ast
 import functools
+import math
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import rtcal as rt
+from rtcal.support import deferred
 
 PACKAGE = Path(rt.__file__).parent
 
@@ -126,6 +131,54 @@ def test_no_import_circles() -> None:
     graph = {own_name(path): imports_of(path) & NAMES for path in modules()}
     del graph["rtcal"]  # the public names
     assert [" -> ".join(circle) for circle in circles(graph)] == []
+
+
+@pytest.fixture
+def slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    package = tmp_path / "slow"
+    package.mkdir()
+    (package / "__init__.py").write_text("def given(x):\n    return 2 * x\nother = 5\n")
+    (package / "part.py").write_text("from slow import other\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    for name in ("slow", "slow.part"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.usefixtures("slow")
+def test_a_deferred_module_is_imported_at_the_first_call() -> None:
+    with deferred("slow", "given"):
+        from slow import given
+    assert "slow" not in sys.modules
+    assert given(4) == 8
+    assert sys.modules["slow"].given is not given
+
+
+@pytest.mark.usefixtures("slow")
+def test_other_names_of_a_deferred_module_are_imported_at_once() -> None:
+    with deferred("slow", "given"):
+        from slow.part import other
+    assert other == 5
+    assert sys.modules["slow"].other == 5
+    before = sys.modules["slow"]
+    with deferred("slow", "given"):
+        assert sys.modules["slow"] is before
+
+
+def test_cvxpy_is_imported_without_the_statistics_that_it_hardly_needs() -> None:
+    code = """
+import sys
+from rtcal.calibration.unknowns import cp
+cp.Variable
+print("scipy.stats" in sys.modules)
+entropy = sys.modules["cvxpy.atoms.quantum_rel_entr"].entropy
+print(entropy([1, 1]), "scipy.stats" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    first, second = done.stdout.splitlines()
+    value, loaded = second.split()
+    assert (first, loaded) == ("False", "True")
+    assert float(value) == pytest.approx(math.log(2))
 
 
 def test_import_is_light() -> None:

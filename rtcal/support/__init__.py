@@ -1,10 +1,13 @@
-"""The version, and what is imported at its first use: public names, optional libraries."""
+"""The version, and what is imported at its first use: public names, optional libraries, their needs."""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from importlib.util import find_spec, module_from_spec
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +63,37 @@ def library(message: str, name: str, *further: str) -> Any:
         return import_module(name)
     except ImportError as error:
         raise MissingDependencyError(message) from error
+
+
+@contextmanager
+def deferred(module: str, function: str) -> Iterator[None]:
+    """Defer the import of a module that a library needs for one function, within a block.
+
+    ``module`` is the name of the module, which is installed. A library that is imported in the block
+    gets a ``function`` that imports the module at its first call. Any other name that is read from the
+    module in the block imports it at once. If the module was imported before, nothing is deferred.
+    """
+    spec = None if module in sys.modules else find_spec(module)
+    if spec is None:
+        yield
+        return
+    stand_in = module_from_spec(spec)
+
+    def given_back() -> None:
+        if sys.modules.get(module) is stand_in:
+            del sys.modules[module]
+
+    def read(name: str) -> Any:
+        given_back()
+        return getattr(import_module(module), name)
+
+    vars(stand_in)["__getattr__"] = read
+    vars(stand_in)[function] = lambda *args, **options: read(function)(*args, **options)
+    sys.modules[module] = stand_in
+    try:
+        yield
+    finally:
+        given_back()
 
 
 __version__ = "0.1.0"
