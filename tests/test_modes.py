@@ -198,7 +198,7 @@ def test_modes_that_contradict_are_marked():
     modes, rng = heard(TRUTH), np.random.default_rng(0)
     good = rt.calibrate_modes(ROOM, modes)
     assert good.plausibility.p_value > 0.05
-    assert "has a probability of" in str(good)
+    assert "with a probability of" in str(good)
     assert "implausible_modes" not in {m.kind for m in good.trust_marks}
     factor = np.where(rng.random(modes.decays.size) < 0.5, 1.8, 1 / 1.8)
     bad = rt.calibrate_modes(ROOM, replace(modes, decays=modes.decays * factor))

@@ -215,7 +215,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert found.named_set == ("measurement", "scale")
     assert "More than one effect is missing (" in " ".join(headline(found))
     right, of = stored()["several"]["sets of families"]
-    said = f"Of {of} identified sets of groups, {right} were right"
+    said = f"{right} of {of} identified sets of groups were right"
     assert said in " ".join(str(found).split())
     assert sum(found.sets.values()) == pytest.approx(1)
     assert sum(found.family_sets.values()) == pytest.approx(1)

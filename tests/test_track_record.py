@@ -36,9 +36,9 @@ def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, in
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: str) -> None:
     said = record_of_means(verdict, data)
-    assert "None of them was used to make the finder" in said
+    assert "none of which was used to make the finder" in said
     assert data.replace(", C80", ", or with C80") in said
     record = record_of("means", data)
     if (right := record.get(verdict)) is not None:
-        assert re.search(rf"\bOf {right.of} [^,]*, {right.count} .*\({interval(right)}\)", said)
+        assert re.search(rf"\b{right.count} of {right.of} [^,]* \({interval(right)}\)", said)
     assert "95 % interval" in said

@@ -29,9 +29,9 @@ def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
     assert result.plausibility.p_value < 1e-4
     page = " ".join(str(result).split())
     assert "[s] 125 Hz: the band is below the Schroeder frequency (233 Hz)" in page
-    assert "Check areas and volume, then look for a missing effect" in page
-    assert "125 Hz: T needs more absorption than the input gives, by over 2 σ" in page
-    assert "4000 Hz: T needs less absorption than the input gives" in page
+    assert "Do not rely on the coefficients of these bands until the cause is found" in page
+    assert "125 Hz: the measured T requires more absorption than the input (over 2 σ)" in page
+    assert "4000 Hz: the measured T requires less absorption than the input" in page
     line = next(text for text in str(result).splitlines() if text.startswith("cautions"))
     assert line.split()[-6:] == ["sz", ".", ".", ".", ".", "z"]
     content = json.loads(result.to_json())

@@ -32,7 +32,7 @@ from rtcal.acoustics.observables import (
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.text import as_sentence
+from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 __all__ = ["gap_jnd", "plausibility", "trust_marks"]
@@ -287,8 +287,7 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "implausible": (
         "z",
-        "check areas and volume, then look for a missing effect (`rtcal find`), before you rely on the "
-        "coefficients of these bands",
+        "do not rely on the coefficients of these bands until the cause is found",
     ),
     "bent": (
         "c",
@@ -667,6 +666,7 @@ def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
 
 
 _AIR_SHARE = 0.5
+_AT_BOUND = "stands at its {} bound"
 _ODD_UNCERTAINTY = 0.3
 """Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
 OFF_VOLUME = 0.1
@@ -826,13 +826,13 @@ def trust_marks(
         upper = "all_at_upper_bound" if spent else "at_upper_bound"
         for i in np.flatnonzero(active[:, k]).tolist():
             side, advised = ("lower", "") if active[i, k] < 0 else ("upper", upper)
-            add("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
+            add("at_bound", f, f"{room.materials[i]} {_AT_BOUND.format(side)}", advised)
         if abs(z[k]) > LARGE_Z:
             side = "more" if z[k] > 0 else "less"
             add(
                 "implausible",
                 f,
-                f"T needs {side} absorption than the input gives, by over 2 σ",
+                f"the measured T requires {side} absorption than the input (over {LARGE_Z:g} σ)",
             )
     return tuple(marks)
 
@@ -846,17 +846,42 @@ def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]
     """Yield the first caution of each kind and advice, with the facts of all cautions of that group."""
     for kind, advice in dict.fromkeys((mark.kind, mark.advice) for mark in marks):
         alike = [mark for mark in marks if (mark.kind, mark.advice) == (kind, advice)]
-        facts = []
+        by_place: dict[str, list[str]] = {}
         for text in dict.fromkeys(mark.text for mark in alike):
             where = hertz([m.frequency for m in alike if m.text == text and m.frequency])
-            facts.append(f"{where}: {text}" if where else text)
+            by_place.setdefault(where, []).append(text)
+        facts = [
+            f"{where}: {text}" if where else text
+            for where, texts in by_place.items()
+            for text in _together(texts)
+        ]
         yield alike[0], facts
 
 
-def cautions(marks: Sequence[TrustMark]) -> list[str]:
-    """Return the cautions as texts, grouped by advice: "Caution [s] 125 Hz: facts. Advice."."""
+def _together(texts: Sequence[str]) -> list[str]:
+    """Return facts of one place, those of several materials at a bound in one sentence.
+
+    >>> _together([f"{m} {_AT_BOUND.format('lower')}" for m in ("floor", "walls")])
+    ['floor and walls stand at their lower bounds']
+    """
+    said = dict.fromkeys(texts)
+    for side in ("lower", "upper"):
+        end = f" {_AT_BOUND.format(side)}"
+        some = [text for text in texts if text.endswith(end)]
+        if len(some) > 1:
+            said = {k: None for k in said if k not in some}
+            names = listed([text.removesuffix(end) for text in some])
+            said[f"{names} stand at their {side} bounds"] = None
+    return [*said]
+
+
+def cautions(marks: Sequence[TrustMark], *, lettered: bool = True) -> list[str]:
+    """Return the cautions as texts, grouped by advice: "Caution [s] 125 Hz: facts. Advice.".
+
+    The letters are those of a table of bands; ``lettered`` is False where none is printed.
+    """
     return [
-        f"Caution{f' [{first.letter}]' if first.letter else ':'} {'; '.join(facts)}. "
+        f"Caution{f' [{first.letter}]' if first.letter and lettered else ':'} {'; '.join(facts)}. "
         f"{as_sentence(first.advice)}"
         for first, facts in grouped(marks)
     ]

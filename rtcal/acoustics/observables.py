@@ -99,6 +99,8 @@ class Observable(ABC):
     matched: ClassVar[bool] = False  # at every position where nothing else is asked for
     predicted: ClassVar[bool] = False  # at positions, beside what is matched
     shown: ClassVar[bool] = False  # by a loop on mean values; a tracer states its noise
+    label_of_band: ClassVar[str] = ""
+    """Name of the value in one band, if it is not the parameter's."""
     stand_in: ClassVar[str | None] = None
     """Key of the parameter that is used instead where this one was not measured."""
     averaging: ClassVar[Scale] = ITSELF
@@ -732,6 +734,7 @@ class STI(Observable):
     """
 
     key, label, rank = "sti", "STI", 65
+    label_of_band = "MTI"
     spellings = "speechtransmissionindex mti modulationtransferindex"
     unit = ""
     decimals = 2

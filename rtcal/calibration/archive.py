@@ -516,9 +516,9 @@ class Archive(Result):
         head = f"alpha (number of rooms; *: {_OFF:g} or more standard deviations from the table)"
         return [
             Note(
-                f"By {len(self.lessons)} rooms, alpha of {len(self.materials)} materials differs from "
-                f"the tables that the rooms began with by {100 * self.together:+.0f} ± "
-                f"{100 * self.together_sigma:.0f} % in common (± standard deviation)."
+                f"In {len(self.lessons)} rooms, alpha of {len(self.materials)} materials differs from "
+                f"the rooms' input by a common {100 * self.together:+.0f} ± "
+                f"{100 * self.together_sigma:.0f} % (standard deviation)."
             ),
             Table(labels, materials, head),
             replace(rooms, title="Each room compared with the prediction from all other rooms"),

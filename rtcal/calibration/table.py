@@ -133,8 +133,8 @@ _STRONG_SHIFT = 3.0
 
 SHIFT = "shift of alpha in standard deviations (input sigma)"
 SIGNS = (
-    "Deviation: model - measured, before and after calibration (1 JND: 5 % of T). Missing absorption: "
-    "needed by the measured T - given by the input."
+    "Deviation: T of the model minus measured T (1 JND is 5 % of T). Missing absorption: absorption "
+    "that the measured T requires minus absorption by the input coefficients, in standard deviations."
 )
 
 _NAMES_OF_METHODS = {
@@ -176,16 +176,19 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
                 for m in rows
                 for cells in [zip(m["alpha_after"], m["at_bound"], strict=True)]
             ],
-            f"Calibrated {what} (* at a bound); largest shift from the input in its σ",
+            f"Calibrated {what} (* at a bound), and its largest shift from the input in input σ",
         )
         for what, rows in zip(_QUANTITIES, kinds, strict=True)
         if rows
     ]
     heading, evidence = verdict(record)[1:]
+    evidence, _, step = evidence.partition(_NEXT)
+    of_room, *others = remarks(record)
     return [
         Note(f"{heading}. {evidence}"),
-        *map(Note, cautions(_trust_marks(record))),
-        *map(Note, remarks(record)),
+        *map(Note, _cautions(record)),
+        *map(Note, others),
+        *([Note(f"{_NEXT}{step}".strip())] if step else []),
         Table(labels, band_rows(record), note=SIGNS),
         *calibrated,
         *(
@@ -201,8 +204,21 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         Table(labels, shift_rows(record), SHIFT, detail=True),
         Note(_shares_in_words(record)),
         Table(labels, share_rows(record), f"{SHARE} / %", detail=True),
-        *map(Note, _made(record)),
+        Note(f"{_made(record)} {of_room}"),
     ]
+
+
+def _cautions(record: Mapping[str, Any]) -> list[str]:
+    """Return the cautions; one likely typing error, which the verdict states, by its letter alone."""
+    marks = _trust_marks(record)
+    typed = [mark for mark in marks if mark.is_error]
+    if len(typed) != 1:
+        return cautions(marks)
+    (first,) = typed
+    where = "" if first.frequency is None else f" {bands.label(first.frequency)}"
+    by_letter = f"Caution [{first.letter}]{where}: the likely typing error named above."
+    said = cautions([mark for mark in marks if mark is not first])
+    return [by_letter, *said] if first.letter else said
 
 
 def _largest_shift(material: Mapping[str, Any], labels: Sequence[str]) -> str:
@@ -218,8 +234,8 @@ def shift_rows(record: Mapping[str, Any]) -> list[Row]:
     return [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in shifts]
 
 
-def _made(record: Mapping[str, Any]) -> list[str]:
-    """Return the room, how it was calibrated, and how exactly the problem was solved."""
+def _made(record: Mapping[str, Any]) -> str:
+    """Return the room, and how it was calibrated."""
     air = "no air"
     if record["air"] is not None:
         air = f"air {record['air']['temperature']:g} °C, {record['air']['humidity']:g} % humidity"
@@ -227,11 +243,10 @@ def _made(record: Mapping[str, Any]) -> list[str]:
     of_t = " and ".join(_parameters(record))
     matched = f"to {of_t}" if record["matches_measured_time"] else f"without matching {of_t}"
     method = _NAMES_OF_METHODS.get(record["method"], record["method"])
-    return [
+    return (
         f"{record['room']}: {record['volume']:g} m³, {area:g} m² of surfaces, {air}; calibrated "
-        f"{matched} by {record['equation']}'s equation and {method}.",
-        certificate(record),
-    ]
+        f"{matched} by {record['equation']}'s equation and {method}."
+    )
 
 
 def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -379,10 +394,15 @@ LARGE_GAP = 3.0
 """Deviation in JND before calibration that is clearly audible, whatever the input sigma allows."""
 _AGAINST = "The measurement contradicts the input coefficients"
 _ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
-_SOMETHING = (
-    "Something is missing from the model, or an input value or its sigma is wrong. Next: check the "
-    "areas, the volume and the measured T; if they are right, run `rtcal find`."
+_NEXT = " Next:"
+"""Beginning of the next step in the text of a verdict."""
+_CHECK = (
+    f"{_NEXT} check the areas, the volume and the measured T; if they are right, run `rtcal find`."
 )
+_SOMETHING = (
+    f"Something is missing from the model, or an input value or its sigma is wrong.{_CHECK}"
+)
+_EQUATION = f"{_NEXT} run `rtcal find`, which also tries other reverberation equations."
 _OF_ROOM = (
     "surface",
     "dimensions",
@@ -465,7 +485,7 @@ def _off(record: Mapping[str, Any]) -> tuple[float, str]:
     )
     wanted = record["measured"]["reverberation_time"][k]
     return float(gap[k]), (
-        f"With the input coefficients, {' and '.join(_parameters(record))} is off by up to "
+        f"With the input coefficients, {' and '.join(_parameters(record))} deviates by up to "
         f"{gap[k]:.1f} JND ({before:.2f} s instead of {wanted:.2f} s at {label})"
     )
 
@@ -479,7 +499,7 @@ def _evidence(record: Mapping[str, Any]) -> str:
     """Return how many rooms deviate as much by chance, with p."""
     p = record["plausibility"]["p_value"]
     return (
-        f"if they are right, {_chance(p)} of 100 rooms would be off at least as much over all bands "
+        f"if they are right, {_chance(p)} of 100 rooms would deviate at least as much over all bands "
         f"(p = {p:.2g})"
     )
 
@@ -490,8 +510,8 @@ def _together(record: Mapping[str, Any]) -> str:
     if p_together is None or p_together < 2 * p:
         return ""
     return (
-        f"If all coefficients may also have a common error, {_chance(p_together)} of 100 rooms would "
-        f"be off at least as much (p = {p_together:.2g})."
+        f"With a possible common error of all coefficients, {_chance(p_together)} of 100 rooms would "
+        f"(p = {p_together:.2g})."
     )
 
 
@@ -528,7 +548,7 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             _AGAINST if far else "There is no overall verdict",
             f"{as_sentence(needs)[:-1]} an absorption more than two standard deviations from the "
             "input. How likely such a difference is over all bands cannot be calculated, because a "
-            "coefficient stands at a bound.",
+            f"coefficient stands at a bound.{_CHECK if far else ''}",
         )
     agreed, chance = agreement(p, found["p_together"]), _evidence(record)
     if agreed == "too good":
@@ -548,11 +568,11 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             "calculated from these coefficients.",
         )
     if agreed == "contradicts" or p < P_CONTRADICTION:
-        against = agreed == "contradicts"
+        against, longer = agreed == "contradicts", _longer(record)
         said = (
             f"{off}. This is more than the input's standard deviations explain: {chance}.",
             _together(record),
-            _longer(record) or (_SOMETHING if against else ""),
+            f"{longer}{_EQUATION * against}" if longer else _SOMETHING * against,
         )
         return CalibrationVerdict(
             "contradicts" if against else "open",
@@ -564,12 +584,13 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
         return CalibrationVerdict(
             "open",
             "The measurement does not contradict the input coefficients",
-            f"{within} Standard deviations that allow so large a deviation do not confirm the model.",
+            f"{within} Standard deviations that allow so large a deviation do not confirm the model."
+            + (_CHECK if far else ""),
         )
     return CalibrationVerdict(
         "open" if far else "agrees",
         "The measurement agrees with the input coefficients" + (", with exceptions" if far else ""),
-        within,
+        within + (_CHECK if far else ""),
     )
 
 
@@ -599,7 +620,10 @@ def _remaining_gap(record: Mapping[str, Any]) -> str:
     if record["room_taken_as_exact"]:
         if record["unreachable"]:
             return f"{said}. No coefficients within their limits give the measured T."
-        return f"{said}. The uncertainty of the measured T explains these deviations."
+        return (
+            f"{said}. They are a compromise between the uncertainty of the measured T and the sigma of "
+            "the coefficients."
+        )
     uncertain = f" ({words})" if (words := record.get("room_uncertainty")) else ""
     return (
         f"{said}. The uncertainty of the room{uncertain} explains these deviations: check it first."

@@ -18,7 +18,7 @@ from rtcal.command.files import PROGRAMS
 from rtcal.files.disk import commit, spare
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.speed import bar
-from rtcal.support.text import rounded, shortened
+from rtcal.support.text import as_sentence, rounded, shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
@@ -159,7 +159,7 @@ def check(
         "defects": [asdict(defect) for defect in done.defects],
         "notes": notes,
     }
-    console.tell("\n".join([*notes, str(done)]), record)
+    console.tell("\n".join([*map(as_sentence, notes), str(done)]), record)
 
 
 def _imported(
@@ -452,7 +452,7 @@ def _with_scene(
 def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
     """Return the room with what a mesh leaves open of its volume and areas, and the notes on it."""
     read = [console.as_options(note, ["unit"]) for note in model.notes]
-    notes = [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
+    notes = [f"Mesh: {note}" for note in (*read, *map(str, model.defects))]
     if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
         room = room.replace(volume_sigma=sigma)

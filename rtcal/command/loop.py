@@ -114,7 +114,11 @@ def start(
         *text.wrapped(f"{said}{begun.matched.label if weights else begun.matched.time_label}."),
         *(f"{band}; the coefficients with the nearest T are taken." for band in unreachable),
         *first,
-        *(line for said in cautions(begun.marks_of_next) for line in text.wrapped(said)),
+        *(
+            line
+            for said in cautions(begun.marks_of_next, lettered=False)
+            for line in text.wrapped(said)
+        ),
         *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
         closed.write(begun, state, out),
     ]

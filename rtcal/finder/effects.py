@@ -885,7 +885,7 @@ class OmittedAir(Effect):
     family: ClassVar[str] = "climate"
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.03, 0.0, 0.03)
     size: ClassVar[str] = "humidity"
-    unit: ClassVar[str] = "% at the temperature"
+    unit: ClassVar[str] = "% humidity at the temperature"
     parameters: ClassVar[Mapping[str, Parameter]] = {
         "temperature": Parameter((10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0), (-20.0, 50.0), "°C"),
         "humidity": Parameter(

@@ -1023,7 +1023,7 @@ def _of_states(
         held.pairs,
         steps[:, np.newaxis, np.newaxis],
         models=("if nothing changed", f"with what {fitted} found"),
-        held_out=(f"pairs that {fitted} predict",),
+        held_out=(f"pairs whose change is predicted from {fitted}",),
         quantities=(parameter_label(TARGET.key),),
         misses=tuple(_misses_over_pairs(TARGET.key, found.times[1], left, *at)),
         notes=() if held is found else held.notes,

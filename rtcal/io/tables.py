@@ -77,7 +77,7 @@ from rtcal.io.table_columns import (
 from rtcal.io.text import Row, Sheet, decode, number, sheets_of_text, shown, unit_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.text import first_of
+from rtcal.support.text import first_of, wrapped
 from rtcal.support.text import table as table_lines
 from rtcal.support.types import Array, Paths
 
@@ -1305,7 +1305,13 @@ def means(measurement: Measurement) -> list[str]:
     for parameter in measurement.values:
         kind, mean = observable(parameter), measurement.mean(parameter)
         cells = [format(v, f".{kind.decimals}f") if np.isfinite(v) else "-" for v in mean]
-        rows.append((f"{kind.label} / {kind.unit}".removesuffix(" / "), cells))
+        name = kind.label_of_band or kind.label
+        rows.append((f"{name} / {kind.unit}".removesuffix(" / "), cells))
+        if name != kind.label:
+            of_all += wrapped(
+                f"{name} is the modulation transfer index of one band. {kind.label} follows from all "
+                "octaves, 125 to 8000 Hz."
+            )
         overall = kind.overall(mean, measurement.centre_frequencies)
         if np.isfinite(overall):
             of_all.append(f"{kind.label} of all bands: {overall:.{kind.decimals}f}")

@@ -919,6 +919,7 @@ class Loop(Result):
                 f"After {n} simulation{'s' * (n != 1)}, the simulated T {worst}. The coefficients are "
                 f"valid only for {of}."
             ),
+            *map(Note, cautions(self.trust_marks, lettered=False)),
             Table(names, rows, "By band"),
             *(
                 [
@@ -931,12 +932,16 @@ class Loop(Result):
                 if others
                 else []
             ),
-            *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self.every_note),
+            *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self._notes),
         ]
 
     @property
     def every_note(self) -> list[str]:
         """Notes on data and simulations, and cautions about the loop itself."""
+        return [*cautions(self.trust_marks, lettered=False), *self._notes]
+
+    @property
+    def _notes(self) -> list[str]:
         notes = [*sentences(self.gaps_beside, self.prior.centre_frequencies)]
         if "not confirmed" in self.status:
             notes.append(
@@ -944,7 +949,6 @@ class Loop(Result):
                 "noise, or the noise alone exceeds the tolerance. Simulate with less noise (more "
                 "paths)."
             )
-        notes += cautions(self.trust_marks)
         if self.prior.is_uncertain:
             notes.append(
                 f"The room is uncertain ({in_words(self.prior)}). These coefficients are for the "

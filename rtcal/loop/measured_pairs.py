@@ -208,7 +208,7 @@ def pairs_to_match(
         )
     if absent:
         notes.append(
-            f"{', '.join(map(parameter_label, absent))} cannot be matched, as not measured."
+            f"Not matched, because it was not measured: {', '.join(map(parameter_label, absent))}."
         )
         present = [p for p in match if p not in absent]
         observations = Observations.of_measurement(in_room, present, kept)
@@ -470,22 +470,20 @@ class BeyondPrior:
 
     def __str__(self) -> str:
         name = parameter_label(self.parameter)
-        ratio = self.simulated / self.measured
-        times = f"{ratio:.1f} times as long" if ratio > 1 else f"{1 / ratio:.1f} times shorter"
         sigma = abs(self.z) / _REACH
         needed = (
-            f"a mean coefficient of {self.needed:.2f} where the input has {self.stated:.2f}"
+            f"a mean coefficient of {self.needed:.2f} instead of the input's {self.stated:.2f}"
             if self.needed > 0
             else "a mean coefficient below 0"
         )
         return (
-            f"The input coefficients and their sigma cannot explain the measured {name}: at "
-            f"{label(self.frequency)} it is {self.measured:.2f} s, the simulation of the input "
-            f"has {self.simulated:.2f} s, {times}, and coefficients within {_REACH:g} sigma reach "
-            f"{self.reached:.2f} s ({self.bands} of {self.of_bands} bands are beyond). The measured "
-            f"time needs {needed}, {abs(self.z):.0f} standard deviations away: enter a sigma "
-            f"{sigma:.0f} times as large where the coefficients are guesses, or look for what is "
-            "missing from the model (rtcal find)."
+            f"The input coefficients and their sigma cannot explain the measured {name} in "
+            f"{self.bands} of {self.of_bands} bands. At {label(self.frequency)} the measured {name} is "
+            f"{self.measured:.2f} s. The simulation with the input coefficients has "
+            f"{self.simulated:.2f} s, and coefficients within {_REACH:g} sigma of the input reach "
+            f"{self.reached:.2f} s. The measured {name} requires {needed}, which is "
+            f"{abs(self.z):.0f} sigma away. Enter a sigma {sigma:.0f} times as large if the "
+            "coefficients are guesses, or look for what is missing from the model (`rtcal find`)."
         )
 
 

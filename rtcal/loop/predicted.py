@@ -176,9 +176,17 @@ class PositionsPrediction(Result):
     def sentences(self) -> list[str]:
         """Sentences on the causes of the first parameter's uncertainty, and what to measure next."""
         first, half = self.parameters[0], Z * self.uncalibrated_sigma
-        without = self.half_width(first, self.middle - half, self.middle + half)[-1]
+        of = observable(first)
+        both = (
+            of.jnd * width[-1]  # in the parameter's unit, or over a time
+            for width in (
+                self.half_width(first, self.middle - half, self.middle + half),
+                self.half_width(first),
+            )
+        )
+        unit = "" if of.relative_jnd else of.unit or " "
         return [
-            words.gained(without, self.half_width(first)[-1]),
+            words.gained(*both, parameter_label(first), unit),
             words.to_narrow(self.parts(first), 1),
         ]
 
@@ -220,11 +228,13 @@ class PositionsPrediction(Result):
         for p in self.parameters:
             of, (low, high) = observable(p), self.interval(p)
             unit, form = f" / {of.unit}" if of.unit else "", f".{of.decimals}f"
+            name = of.label_of_band or of.label
+            start = f"{name}, 90 % interval: "
             rows += [
-                Row(f"{of.label} before{unit}", self.before_change(p)[-1], form),
-                Row(f"{of.label} after{unit}", self.mean(p), form),
-                Row(f"{of.label} 90 % interval: from{unit}", low, form),
-                Row(f"{of.label} to{unit}", high, form),
+                Row(f"{name} before{unit}", self.before_change(p)[-1], form),
+                Row(f"{name} after{unit}", self.mean(p), form),
+                Row(f"{start}from{unit}", low, form),
+                Row(f"{' ' * len(start)}to{unit}", high, form),
             ]
         return words.blocks_of(
             [

@@ -209,7 +209,13 @@ def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
 CARRIED = 3
 """Number of modes that a band needs to have no caution: in the band, or up to an octave below for the
 lowest one."""
-_HEADER = ["mode / Hz", "T measured / s", "T before / s", "T after / s", "mostly from"]
+_HEADER = [
+    "mode / Hz",
+    "T measured / s",
+    "T input / s",
+    "T calibrated / s",
+    "walls that matter most",
+]
 P_MODES = 0.01
 """p-value below which measured modes and input coefficients contradict each other."""
 _ALIKE = 0.02  # share of the largest by which walls that a mode tells as much of may differ
@@ -468,19 +474,21 @@ class ModesResult(Result):
         low = [
             Row(
                 name,
-                [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*of, strict=True)],
+                [f"{a:.2f} → {b:.2f} ({c:.2f} to {d:.2f})" for a, b, c, d in zip(*of, strict=True)],
             )
             for name, *of in zip(self.prior.materials, *ends, strict=True)
         ]
-        first, *notes = map(Note, self.every_note)
+        said = map(Note, self.every_note)
         columns = bands.labels(self.prior.centre_frequencies[self.below])
         tables = [
             Table(_HEADER[1:], rows, corner=_HEADER[0]),
             Table(
-                columns, low, "Alpha below the Schroeder frequency, before > after (90 % interval)"
+                columns,
+                low,
+                "Alpha below the Schroeder frequency: input → calibrated (90 % interval)",
             ),
         ]
-        return [first, *tables, *notes]
+        return [*said, *tables]
 
     @property
     def every_note(self) -> list[str]:
@@ -488,11 +496,12 @@ class ModesResult(Result):
         q = self.plausibility
         first = (
             f"{len(self.used)} of {len(self.modes.frequencies)} measured modes determine alpha below "
-            "the Schroeder frequency. If the input is right, a misfit of the decays as large as this "
-            f"has a probability of {q.p_value:.2g} (Q = {q.q:.1f})."
+            "the Schroeder frequency. If the input coefficients and their sigma are right, decays "
+            f"deviate from them at least as much as these with a probability of {q.p_value:.2g} "
+            f"(chi-square {q.q:.1f})."
         )
-        scale = f"Measured frequencies are {self.scale:.3f} times those calculated."
-        return [first, scale, *self.notes, *cautions(self.trust_marks)]
+        scale = f"The measured mode frequencies are {self.scale:.3f} times the calculated ones."
+        return [first, *cautions(self.trust_marks, lettered=False), scale, *self.notes]
 
     @property
     def each(self) -> list[dict[str, Any]]:

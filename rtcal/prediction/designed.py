@@ -534,7 +534,7 @@ class Design(Result):
             f"{'not possible' if np.isinf(cost) else f'{cost:.0f}'} for {p:g}"
             for p, cost in self.frontier.items()
         )
-        drawn = "" if made.known.n_measured > 1 else ", at most 0.01 off"
+        drawn = "" if made.known.n_measured > 1 else ", with an error of at most 0.01"
         return [
             *map(Note, made.heads[:-1]),
             Note(needed),

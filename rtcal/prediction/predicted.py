@@ -352,7 +352,7 @@ class Prediction(TimeChange, Result):
             if apart[k] >= JND:
                 said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
         if known.measured.any() and self.simulated is None:
-            said.append(words.gained(JND * self.uncalibrated.half_width, JND * self.half_width))
+            said.insert(0, words.gained(JND * self.uncalibrated.half_width, JND * self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))
         return said
 
@@ -547,7 +547,7 @@ class Predictions(Result):
         common = [said for said in every[0].sentences if all(said in p.sentences for p in every)]
         own = [(p.name, s) for p in every for s in p.sentences if s not in common]
         found: list[Block] = [Note(head) for p in every for head in p.heads]
-        found += [*map(Note, words.joined(own)), *map(Note, common)]
+        found += map(Note, words.in_order([*words.joined(own), *common]))
         found += [Table(labels, every[0].rows[:2]), *beside]
         chosen = ("90 %", "      ", "change / %")
         for p in every:

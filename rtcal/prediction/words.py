@@ -172,7 +172,16 @@ def joined(own: Sequence[tuple[str, str]]) -> list[str]:
         found.append(
             f"Caution, {name}: {said.removeprefix(_CAUTION)}" if of_caution else f"{name}: {said}"
         )
-    return sorted(found, key=lambda said: not said.startswith("Caution"))
+    return found
+
+
+def in_order(sentences: Sequence[str]) -> list[str]:
+    """Return sentences with the cautions after what supports the answer, and the next steps last.
+
+    >>> in_order(["Next: measure.", "Caution: uneven.", "T falls."])
+    ['T falls.', 'Caution: uneven.', 'Next: measure.']
+    """
+    return sorted(sentences, key=lambda s: s.startswith("Caution") + 2 * s.startswith(_NEXT[:5]))
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
@@ -207,13 +216,17 @@ def by_program(
     return f"{said} At {', '.join(left)} the equation predicts, because a run has no T there."
 
 
-def gained(without: Array, half_width: Array) -> str:
-    """Return in words by how much calibration narrowed an interval, from half widths over T."""
-    before, after = (100 * np.median(of) for of in (without, half_width))
+def gained(without: Array, half_width: Array, of: str = "T", unit: str = "") -> str:
+    """Return in words by how much calibration narrowed the interval of a parameter.
+
+    The half widths without and with calibration are relative, or in ``unit``.
+    """
+    before, after = (float(np.median(each)) for each in (without, half_width))
     how = "narrowed" if after < before else "did not narrow"
+    ends = (f"{x:.2g} {unit}".rstrip() if unit else f"{100 * x:.0f} %" for x in (before, after))
     return (
-        f"{_CALIBRATION}{how} the interval of T (median of the bands): ± {before:.0f} % without "
-        f"calibration and ± {after:.0f} % with it."
+        f"{_CALIBRATION}{how} the interval of {of} (median of the bands): ± {next(ends)} without "
+        f"calibration and ± {next(ends)} with it."
     )
 
 

@@ -76,6 +76,9 @@ _SIZED = 0.25
 """Probability over the first candidate's from which a text gives a candidate's size."""
 _SEVERAL = 2
 """Configurations from which on a text has one table of what deviates much, not one of each."""
+_INTERVAL = "90 % interval"
+"""Interval of a size in print, which a table's heading states for all sizes."""
+_DEVIATION = "Deviation (model minus measurement) in standard deviations of this difference"
 _FEW = 3
 """Most effects or sources that a sentence lists."""
 NAMES = {
@@ -115,9 +118,9 @@ SENTENCES: dict[str, str] = {
     "size fits as well.",
     "too large": "{effect:name} would take {share:p} of all surfaces; a size above {most:p} is not "
     "plausible.",
-    "below Schroeder": "{effect:name} rests on {bands:and}, below the Schroeder frequency, where "
-    "the sound field is not diffuse. By all data, the odds for it are {nats:odds}; without the data at "
-    "{bands:and}, they are {without:odds}.",
+    "below Schroeder": "The odds for {effect:name} rest on the data at {bands:and}, below the "
+    "Schroeder frequency, where the sound field is not diffuse. By all data they are {nats:odds}; "
+    "without the data at {bands:and}, they are {without:odds}.",
     "directivity unknown": "The surface is not identified, because the directivity of a source is "
     "unknown: where a source aims looks like absorption on the other surfaces.",
     "second room anywhere": "The surface is not identified, because a second room has the same effect "
@@ -150,9 +153,9 @@ SENTENCES: dict[str, str] = {
     "the uncertainty of the coefficients cancels in the difference.",
     "measure further": "Measure {what}: {effect:name} and {rival:name} would then be distinguished "
     "with odds of {nats:odds} instead of {now:odds}.",
-    "each taken out": "Look in the room for {effect:name} and {rival:name}. Measure once without each "
-    "that you find (removed, closed or covered): the uncertainty of the coefficients cancels in the "
-    "difference to the first measurement.",
+    "each taken out": "Look in the room for what may be missing from the model: {effect:name} or "
+    "{rival:name}. Measure once without each that you find (removed, closed or covered): the "
+    "uncertainty of the coefficients cancels in the difference to the first measurement.",
     "look at the room": "Find out in the room, or from its documents, whether {effect:name} or "
     "{rival:name} is the cause. Both predict nearly the same values of every parameter, so measuring "
     "a further parameter would not distinguish them.",
@@ -428,13 +431,13 @@ def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
 
     ``some`` are names and probabilities, the most probable first. ``lead`` begins the text.
 
-    >>> choice([("furniture", 0.45), ("opening", 0.39), ("air", 0.06)])
-    'most likely furniture (45 %), but opening (39 %) fits nearly as well; less likely air (6 %)'
+    >>> choice([("furniture", 0.45), ("opening", 0.39)])
+    'most likely furniture (probability 45 %), but opening (39 %) fits nearly as well'
     """
     first, *others = some
     near = [likely(*one) for one in others if one[1] >= _NEAR * first[1]]
     far = [likely(*one) for one in others if one[1] < _NEAR * first[1]]
-    said = f"{lead} {likely(*first)}"
+    said = f"{lead} {called(first[0])} (probability {percent(first[1])})"
     said += f", but {listed(near)} fit{'s' * (len(near) == 1)} nearly as well" if near else ""
     return said + (f"; less likely {listed(far)}" if far else "")
 
@@ -518,9 +521,9 @@ def _of_means(f: Finding) -> list[str]:
         subject = absorbs(f.best.absorption, f.best.end)
     some = [(named(c), f.probabilities.get(c.effect, 0.0)) for c in f.candidates]
     if f.verdict == "ambiguous":
-        return [f"{subject}, but the data do not show what; {choice(some)}."]
+        return [f"{subject}, but the data do not show what. {_cause(some)}"]
     if f.verdict == "family":
-        return [f"{subject}; {choice(some)}.", _group(f)]
+        return [f"{subject}. {_cause(some)}", _group(f)]
     if f.best_effect == COEFFICIENTS:
         return [
             f"The input coefficients have a common error ({percent(f.probabilities[COEFFICIENTS])})."
@@ -528,10 +531,15 @@ def _of_means(f: Finding) -> list[str]:
     return [f"{subject}: {best}."]
 
 
+def _cause(some: Sequence[tuple[str, float]]) -> str:
+    """Return a sentence on the most probable cause and the others that are likely."""
+    return f"The cause is {choice(some)}."
+
+
 def _group(f: Finding) -> str:
     """Return the group of effects that is identified, where no effect is."""
-    group = likely(str(f.family), f.families.get(str(f.family), 0.0))
-    return f"The data identify only the group of effects: {group}."
+    group = f'"{f.family}" ({percent(f.families.get(str(f.family), 0.0))})'
+    return f"The data identify the group of effects {group}, but not which effect of it."
 
 
 def _weak(f: Finding) -> str:
@@ -556,10 +564,7 @@ def without_measuring(f: Finding) -> str:
     if f.verdict != NONE or not f.differs:
         return ""
     command = "fit" if f.kind == "positions" else "calibrate"
-    return (
-        f"Calibrate (rtcal {command}): the uncertainty of the input explains the difference between "
-        "model and measurement."
-    )
+    return f"Calibrate the room (`rtcal {command}`)."
 
 
 USE = {
@@ -582,6 +587,13 @@ def next_step(f: Finding, verification: Verification | None = None) -> str:
         return str(f.advice)
     if f.kind != "positions" or f.verdict == NONE or f.best is None:
         return ""
+    if f.verdict == "hint":
+        if f.case.has_run:
+            return (
+                "Search again without the run, or with tables of means over positions, where --program "
+                "names the kind of program."
+            )
+        return "Measure at one more receiver: `rtcal plan` proposes where."
     if verification is not None and not (verification.misses or verification.verdict == "unproven"):
         return USE[verification.verdict]
     if f.likely_surfaces and f.surface is None:
@@ -601,10 +613,7 @@ def first_step(f: Finding, verification: Verification | None = None) -> str:
     step, checked = next_step(f, verification), listed([*dict.fromkeys(_mistyped(f))])
     if not step or not checked:
         return step
-    return (
-        f"First check {checked}, as the caution says. If nothing is mistyped, "
-        f"{step[:1].lower()}{step[1:]}"
-    )
+    return f"First check {checked}. If nothing is mistyped, {step[:1].lower()}{step[1:]}"
 
 
 def _mistyped(f: Finding) -> list[str]:
@@ -641,11 +650,11 @@ def _nothing_missing(f: Finding) -> list[str]:
             "scattering" if at_pairs else f"the error of the {'program' if program else 'equation'}"
         )
         return [
-            *(f"{one}." for one in said),
             f"Nothing is identified as missing, but the {who} differs from the measurement, most in "
             f"{most}.",
             "The uncertainty of the coefficients, together with "
             f"{open_}, can explain this difference.",
+            *(f"{one}." for one in said),
         ]
     if off:
         said = [
@@ -741,7 +750,7 @@ def _at_positions(f: Finding) -> list[str]:
         said.append(f"The effect is identified: {effect}.")
     elif effects:
         some = choice([one for one in f.probabilities.items() if one[0] in effects])
-        said.append(f"The effect is not identified: {some}.")
+        said.append(f"The effect is not identified: it is {some}.")
     if f.unexplained >= MOST:
         said.append(
             "This does not explain everything that was measured: something else also differs "
@@ -762,7 +771,7 @@ def _place(f: Finding) -> str:
         about = f", about ({', '.join(f'{x:.1f}' for x in at)}) m" if at is not None else ""
         return f', on "{f.surface}" ({percent(f.surfaces[f.surface])}){about}'
     some = [(f'"{name}"', f.surfaces[name]) for name in f.likely_surfaces]
-    return f"; {choice(some, 'most likely on')}" if some else ""
+    return f", {choice(some, 'most likely on')}" if some else ""
 
 
 def _change(f: Finding) -> str:
@@ -814,7 +823,8 @@ def cautions(f: Finding) -> list[str]:
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
     elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:
         said.append(
-            f"A change of the climate explains a part of the change ({percent(f.climate)})."
+            "A change of the climate explains a part of the change (probability "
+            f"{percent(f.climate)})."
         )
     if off is not None and f.best_effect != COEFFICIENTS:
         said.append(f"The input coefficients may have a common error ({percent(off.probability)}).")
@@ -903,21 +913,26 @@ def size_of(f: Finding, name: str) -> str:
     return f"{named(found)}: {found.extent.words}" + (f"; {others}" if others else "")
 
 
+def _quoted(names: Sequence[str]) -> str:
+    """Return names in quotes, as a sentence lists them."""
+    return listed([f'"{name}"' for name in names])
+
+
 def _details_at_positions(f: Finding) -> list[str]:
-    said = [f"These positions do not distinguish {listed(g)}." for g in f.groups]
+    said = [f"These positions do not distinguish {_quoted(g)}." for g in f.groups]
     grouped = {name for group in f.groups for name in group}
     asked = f.likely_surfaces if grouped and f.surface is None else ()
     least = np.exp(-DISTINCT_NATS) * max(f.surfaces.values(), default=0.0)
     left = [n for n in asked if n not in grouped]
     less = [n for n in left if f.surfaces[n] < least]
     if less:
-        said.append(f"Less than a tenth as probable as the most probable surface: {listed(less)}.")
+        said.append(f"Less than a tenth as probable as the most probable surface: {_quoted(less)}.")
     if apart := [n for n in left if n not in less]:
         # The groups are those of the most probable effect on a surface.
         effect = next((c.effect for c in f.candidates if c.surface is not None), "it")
         said.append(
-            f"Not ruled out: {listed(apart)}, where {called(effect)} was not tried, or where these "
-            "positions could distinguish it."
+            f"Not ruled out: {_quoted(apart)}, where {called(effect)} was not "
+            "tried, or where these positions could distinguish it."
         )
     return said
 
@@ -946,54 +961,59 @@ def evidence(f: Finding) -> str:
         )
     required = odds(threshold)
     required = "more than even odds" if required == "even" else f"odds of more than {required}"
+    given, which, again = f"odds of {odds(score)}", f"something {what}", ""
+    if odds(score) == "even":
+        given = "even odds"
+    elif score < 0:
+        # Odds below 1 are read more easily the other way round.
+        nothing = "nothing changed" if f.kind == "states" else "nothing is missing"
+        given, which, again = f"odds of {odds(-score)}", nothing, f" that {which}"
     said = (
-        f"The data alone{of} give odds of {odds(score)} that something {what}; a detection requires "
-        f'{required} (verdict "{f.verdict}"{_VERDICTS.get(f.verdict, "")}).'
+        f"The data alone{of} give {given} that {which}. A detection requires {required}{again}. The "
+        f'verdict is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
     )
     if f.kind == "positions" and f.case.has_run:
         said += (
             " Higher odds are required than without a run, because a program differs from "
             "rtcal's tracer in more ways than the reference simulations show."
         )
-        if f.verdict == "hint":
-            said += (
-                " Next: search without the run, or with tables of means over positions, where "
-                "--program names the kind of program."
-            )
     found = f.detection
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
     if found.means is not None:
-        said += f" Compared as means over positions, the data give odds of {odds(found.means)}."
+        alone = odds(found.means)
+        said += f" The means over positions alone give odds of {alone} that something {what}."
     return said
+
+
+_OF_INTERVAL = "95 % interval"
 
 
 def interval(share: Share) -> str:
     """Return the interval in percent: "0 to 41 %, 95 % interval"."""
     low, high = share.interval
-    return f"{100 * low:.0f} to {100 * high:.0f} %, 95 % interval"
+    return f"{100 * low:.0f} to {100 * high:.0f} %, {_OF_INTERVAL}"
 
 
 def _of(share: Share, what: str, verb: str) -> str:
-    """Return a share as a clause: "of 18 rooms, 3 were flagged (4 to 41 %, 95 % interval)"."""
-    return f"of {share.of} {what}, {share.count} {verb} ({interval(share)})"
+    """Return a share as a clause: "3 of 18 rooms were flagged (4 to 41 %, 95 % interval)"."""
+    return f"{share.count} of {share.of} {what} {verb} ({interval(share)})"
 
 
 def _flagged(share: Share) -> str:
     """Return in how many rooms with nothing missing an effect was reported, as a clause."""
     return (
-        f"in {share.count} of {share.of} rooms with nothing missing, an effect was reported "
+        f"an effect was reported in {share.count} of {share.of} rooms with nothing missing "
         f"({interval(share)})"
     )
 
 
-def _in_rooms(data: str, *counts: str, by: str = "") -> str:
-    """Return which simulated rooms the counts are from, and the counts, a sentence each."""
-    where = (
-        f"The following was counted{by} in simulated rooms with {data}. None of them was used to make "
-        "the finder."
+def _in_rooms(data: str, *counts: str) -> str:
+    """Return a sentence with counts in simulated rooms that were not used to make the finder."""
+    return (
+        f"In simulated rooms with {data}, none of which was used to make the finder, "
+        f"{', and '.join(counts)}."
     )
-    return " ".join([where, *map(as_sentence, counts)])
 
 
 def track_record(f: Finding) -> str:
@@ -1001,7 +1021,7 @@ def track_record(f: Finding) -> str:
     if f.kind == "states":
         return ""
     if f.case.has_run and (f.kind == "positions" or f.more_than_one):
-        return "It was not counted how often such findings with a simulation are right."
+        return "How often such findings with a simulation are right was not counted."
     if f.kind == "positions":
         return record_of_positions(f.case.room, f.parameters)
     if f.more_than_one and f.detected:
@@ -1028,14 +1048,14 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
         _of(record["surface claimed"], "identified surfaces", "were right"),
         _of(record["surface"], "detected absorbers", "were on the most probable surface"),
     ]
-    return _in_rooms(
+    counted = _in_rooms(
         f"coefficients {stated}",
-        _of(record["detected"], "hidden effects", "were detected")
-        + "; "
-        + _flagged(record["flagged"]),
-        "; ".join(found),
-        by=" with an earlier version",
+        _of(record["detected"], "hidden effects", "were detected"),
+        _flagged(record["flagged"]),
     )
+    first, once, rest = f"{counted} {listed(found)}.".partition(f", {_OF_INTERVAL}")
+    tested = f"{first}{once}{rest.replace(f', {_OF_INTERVAL}', '')}"
+    return f"An earlier version was tested. {tested}"
 
 
 _SEVERAL_DATA = "several configurations, or with C80 or G"
@@ -1069,9 +1089,9 @@ def record_of_means(verdict: str, data: str) -> str:
     measured = stored()["measured"]
     wrong = Share(measured["wrong"], measured["claims"])
     return (
-        f"{said} In {measured['cases']} measured cases, an earlier version identified {wrong.of} "
-        f"effects or groups, of which {wrong.count or 'none'} {'was' if wrong.count < 2 else 'were'} "
-        f"wrong (error rate {interval(wrong)})."
+        f"{said} In {measured['cases']} cases in measured rooms, an earlier version identified "
+        f"{wrong.of} effects or groups, and {wrong.count or 'none'} of these "
+        f"{'was' if wrong.count < 2 else 'were'} wrong (error rate {interval(wrong)})."
     )
 
 
@@ -1087,12 +1107,19 @@ def candidates(f: Finding) -> Table | None:
             for name, p in f.probabilities.items()
             if p >= SAID
         ]
-        title = "Candidates; the odds compare the model with the effect to the model without it"
+        title = "Candidates. Odds: the model with the effect against the model without it."
+        if not f.more_than_one:
+            title += (
+                " Probability: these odds times the prior odds of the effect, as a share of all."
+            )
         return Table([there, "odds by the data"], rows, title, corner="effect")
     some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
-    rows = [Row(named(c), [percent(c.probability), c.in_words]) for c in some[:8]]
+    rows = [
+        Row(named(c), [percent(c.probability), c.in_words.replace(f"({_INTERVAL} ", "(")])
+        for c in some[:8]
+    ]
     corner = "change" if f.kind == "states" else "effect"
-    return Table(["probability", "size"], rows, corner=corner) if rows else None
+    return Table(["probability", f"size ({_INTERVAL})"], rows, corner=corner) if rows else None
 
 
 def numbers(f: Finding) -> list[Block]:
@@ -1130,10 +1157,10 @@ def _largest_deviations(f: Finding, tables: Sequence[Table]) -> Block:
             left_out += not large
             if large:
                 rows.append(replace(row, name=f'{row.name} of "{c.name}"'))
-    title = "Deviation in standard deviations (model - measured)"
     if not rows:
-        return Note(f"{title}: less than {marks.LARGE_Z:g} in every band of every parameter.")
-    less = f"{left_out} rows that deviate by less than {marks.LARGE_Z:g} are left out."
+        return Note(f"{_DEVIATION}: less than {marks.LARGE_Z:g} in every band of every parameter.")
+    title = _DEVIATION
+    less = f"{left_out} rows with less than {marks.LARGE_Z:g} in every band are left out."
     return Table(tables[0].columns, rows, title, note=less if left_out else "")
 
 
@@ -1146,7 +1173,7 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
             Row(name, row, "+z.1f", row / _STRONG) for name, row in named if np.isfinite(row).any()
         ]
         where = f' of "{c.name}"' if len(f.case.configurations) > 1 else ""
-        heading = f"Deviation{where}{of} in standard deviations (model - measured)"
+        heading = _DEVIATION.replace("Deviation", f"Deviation{where}{of}", 1)
         made.append(Table(labels, rows, heading))
     return made
 
@@ -1172,11 +1199,18 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
 
 
 def noted(f: Finding) -> list[str]:
-    """Return the notes as sentences, except the note that all uncertainties are as given."""
+    """Return the notes as sentences, without those that the answer or a caution states already.
+
+    That all uncertainties are as given is left out, too.
+    """
+    left = {"Schroeder"} if any(r.code == "below Schroeder" for r in f.reasons) else set()
+    left |= {EQUATION_OFF} if f.verdict == NONE else set()
     return [
         as_sentence(str(n))
         for n in f.notes
-        if isinstance(n, str) or n.code != "uncertainties" or n.values["origins"].get("made")
+        if isinstance(n, str)
+        or n.code not in {"uncertainties", *left}
+        or (n.code == "uncertainties" and n.values["origins"].get("made"))
     ]
 
 

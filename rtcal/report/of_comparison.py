@@ -43,15 +43,13 @@ def sentence(c: Comparison) -> str:
         of_time = OBSERVABLES[p].unit == "s"
         words = ("too short", "too long") if of_time else ("too low", "too high")
         deviates = _groups(c, c.deviation[p], c.disagrees[p], p, words)
-        said.append(
-            f"{parameter_label(p)} is {deviates}{_positions(c, p) if p == wrong[0] else ''}"
-        )
+        said.append(f"{parameter_label(p)} is {deviates}")
     if more := [parameter_label(p) for p in wrong[_MOST:]]:
         deviates = f"deviate{'s' * (len(more) == 1)}"
-        said.append(f"{listed(more)} {deviates} by more than {NOTICED:g} JND, too")
+        said.append(f"{listed(more)} also {deviates} by more than {NOTICED:g} JND")
     if right:
         said.append(f"{right} agree{'s' * (len(c.parameters) - len(wrong) == 1)}")
-    return f"{whose} {'; '.join(said)}."
+    return f"{whose} {'; '.join(said)}.{_positions(c, wrong[0])}"
 
 
 def _groups(
@@ -83,13 +81,16 @@ def _amount(deviation: Array, parameter: str) -> str:
 
 
 def _positions(c: Comparison, parameter: str) -> str:
-    """Return whether all positions deviate alike; "" of means."""
+    """Return a sentence on whether a parameter deviates alike at all positions; "" of means."""
     if len(c.pairs) < 2:
         return ""
     each = _over_bands(c.at_pairs[parameter][:, c.disagrees[parameter]])
     each = each[np.isfinite(each)]
     alike = np.ptp(each) <= abs(each.mean())
-    return f", {'about' if alike else 'not'} alike at all positions"
+    of = f"The deviation of {parameter_label(parameter)}"
+    if alike:
+        return f" {of} is about the same at all positions."
+    return f" {of} is not the same at all positions."
 
 
 def _over_bands(off: Array) -> Array:
@@ -188,13 +189,12 @@ def _of_the_equation(c: Comparison) -> list[str]:
 
 
 def _table(c: Comparison) -> Table:
-    """Return the deviations; of the parameters that disagree most also whether alpha explains them."""
-    rows, left = list[Row](), _MOST
+    """Return the deviations; of the parameters that disagree also whether alpha explains them."""
+    rows = list[Row]()
     for p, off in c.deviation.items():
         rows.append(Row(f"{parameter_label(p)} / JND", off, "+.1f", off / _STRONG))
-        if not c.disagrees[p].any() or not left:
+        if not c.disagrees[p].any():
             continue
-        left -= 1
         u, possible = c.uncertainty[p], c.explained[p]
         if (sure := u > _LEAST).any():
             with np.errstate(all="ignore"):
@@ -207,8 +207,8 @@ def _table(c: Comparison) -> Table:
     return Table(
         bands.labels(c.run.room.centre_frequencies),
         rows,
-        f"{'Equation' if c.of_equation else 'Program'} - measurement; the parameter that deviates most "
-        "is first",
+        f"Deviation ({'equation' if c.of_equation else 'program'} minus measurement); the parameter "
+        "that deviates most is first",
     )
 
 

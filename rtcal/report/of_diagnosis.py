@@ -24,7 +24,6 @@ from rtcal.report.document import (
     page_files,
 )
 from rtcal.support.blocks import Block, Note
-from rtcal.support.text import listed
 
 _MET = 0.05
 """Root mean square of T's deviation over its uncertainty up to which a model has the measured T."""
@@ -66,21 +65,24 @@ def calibrated(result: Diagnosis) -> str:
     which = "model as given" if result.corrected is None else "corrected model"
     if isinstance(found, PositionsResult):
         before, after = rms(found.gap_before), rms(found.gap_after)
+        scattering = ""
+        if found.scattering is not None and found.start is not None:
+            of = found.start, found.scattering.coefficients
+            ends = [dict.fromkeys([f"{s.min():.2f}", f"{s.max():.2f}"]) for s in of]
+            before_fit, fitted = (" to ".join(each) for each in ends)
+            scattering = (
+                f", with scattering coefficients of {fitted} (before the fit: {before_fit})"
+            )
         said = (
-            f"Calibrated to all pairs, the {which} differs from the measurement by {after:.1f} "
-            "JND, root mean square over the pairs that it was fitted to; with its input coefficients, "
-            f"by {before:.1f} JND at the same pairs."
+            f"At last, the {which} was fitted to all pairs{scattering}. At these pairs, the fit "
+            f"reduced its deviation from {before:.1f} to {after:.1f} JND (root mean square)."
         )
         if result.corrected is not None and verified is not None and verified.misses:
             said += (
-                " No pair is left to test this fit, so it is no reason to simulate with the model."
+                " This second number does not show that the model is right, because no pair was left "
+                "out of the fit."
             )
-        if found.scattering is None or found.start is None:
-            return said
-        of = found.start, found.scattering.coefficients
-        ends = [dict.fromkeys([f"{s.min():.2f}", f"{s.max():.2f}"]) for s in of]
-        before_fit, fitted = (" to ".join(each) for each in ends)
-        return f"{said} Its fitted scattering coefficients are {fitted} (before: {before_fit})."
+        return said
     if found.off < _MET:
         return f"Calibrated to T, the {which} reproduces the measured T."
     return (
@@ -90,13 +92,13 @@ def calibrated(result: Diagnosis) -> str:
 
 
 def shrunk(result: Diagnosis) -> str:
-    """Return mean deviations at held-out data: input, calibrated, and calibrated with the effect."""
+    """Return the mean deviation of the input model at the data that were not fitted."""
     verified = result.verification
     if verified is None or np.isnan(verified.before):
         return ""
-    each = zip(verified.models, verified.by_seed.mean(axis=1), strict=True)
-    said = listed([f"{gap:.2f} JND ({model})" for model, gap in each])
-    return f"At data that were not fitted, the mean deviation of the models is {said}."
+    gap = verified.by_seed.mean(axis=1)[0]
+    which = "model as simulated" if verified.runs else "model with its input coefficients"
+    return f"The {which} deviates from the data that were not fitted by {gap:.2f} JND (mean)."
 
 
 def blocks(result: Diagnosis) -> list[Block]:
@@ -106,8 +108,8 @@ def blocks(result: Diagnosis) -> list[Block]:
     said = [
         " ".join(words.headline(finding)),
         *(f"Caution: {caution}" for caution in words.cautions(finding)),
-        shrunk(result),
         "" if verified is None else verified.sentence,
+        shrunk(result),
         added(result),
         calibrated(result),
         f"Next: {step}" if step else "",

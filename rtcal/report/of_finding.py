@@ -533,8 +533,7 @@ def correct(
             *warned,
             "",
             *lines_of(calibrated.blocks()),
-            f"{ROOM} is not calibrated: it holds the input coefficients, as {CASE} does, and not the "
-            "calibrated ones of this table. "
+            f"{ROOM} and {CASE} hold the input coefficients, not the calibrated ones of this table. "
             + _to_calibrate(f"rtcal calibrate {out / ROOM} MEASURED --out FOLDER", made),
             *(f"Note: {note}" for note in words.noted(finding)),
             *(["The room's file cannot hold:"] if made.notes else []),

@@ -60,7 +60,7 @@ def page(result: ModesResult) -> Page:
             Section("Modes", "modes"),
             *tables(blocks),
             Note(
-                "“Most about” names the walls whose sigma moves the mode's decay most. In a box, "
+                "The last column names the walls whose sigma moves the mode's decay most. In a box, "
                 "opposite walls have the same effect on every mode: the decays determine what "
                 "both absorb together, and the input coefficients share it between them."
             ),

@@ -79,12 +79,15 @@ def blocks(result: PositionsResult) -> list[Block]:
     fitted = listed([parameter_label(p) for p in result.parameters])
     n = len(result.pairs)
     last = len(result.every_note) - len(result.doubts)
+    said = [
+        f"The fit {verb} the deviation from the measurement from {before:.1f} to {after:.1f} "
+        f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
+    ]
+    if result.warning:
+        first = result.refused or bool(result.of_input)
+        said.insert(0 if first else 1, f"{'' if first else 'Caution: '}{result.warning}")
     return [
-        *([Note(result.warning)] if result.warning else []),
-        Note(
-            f"The fit {verb} the deviation from the measurement from {before:.1f} to {after:.1f} "
-            f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
-        ),
+        *map(Note, said),
         *(Note(f"Caution: {caution}") for caution in result.every_note[last:]),
         _gap_table(
             result.parameters,
@@ -95,14 +98,14 @@ def blocks(result: PositionsResult) -> list[Block]:
         ),
         *([_gap_table(more, result.pairs, *ends, f"Not matched: {_DEVIATION}")] if more else []),
         _material_table(result),
-        Note(f"Use the coefficients with no other simulator than {result.simulator}."),
+        Note(f"The coefficients are valid only for {result.simulator}."),
         *(Note(f"Note: {note}") for note in result.every_note[bool(result.warning) : last]),
     ]
 
 
 def _material_table(result: PositionsResult) -> Table:
     """Return what was learned of each material, most first, shaded by how much."""
-    columns = ["sigma before", "sigma after", "shift / sigma", "mostly from pair"]
+    columns = ["sigma before", "sigma after", "shift / sigma", "most informative pair"]
     strength = np.abs(result.pulls).mean(axis=2)
     moved = np.sqrt((result.shift**2).mean(axis=1))
     rows = []
@@ -195,7 +198,7 @@ def page(result: PositionsResult) -> Page:
             *_held_out(result),
             Section("What was assumed", "assumed"),
             Note(
-                f"Use the coefficients with no other simulator than {result.simulator}. The interval "
+                f"The coefficients are valid only for {result.simulator}. The interval "
                 "is that of a normal distribution. The simulator's error was learned from "
                 f"{runs} reference simulations."
             ),

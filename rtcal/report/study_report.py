@@ -92,8 +92,8 @@ AREAS = {"shoebox": list(SHOEBOX), "lecture-hall": list(LECTURE_HALL.values())}
 """Surface areas in m² of the rooms with random true coefficients, by the name of the room."""
 
 _LEGEND = (
-    "Calibration methods in random rooms. Each room states uncertain coefficients alpha; each trial "
-    "draws the true ones.",
+    "Calibration methods in random rooms. Each room has uncertain input coefficients alpha, and each "
+    "trial draws the true ones.",
     "BASE: not calibrated. REF: all coefficients scaled by the same factor. LSE: the smallest changes. "
     "MLE: the likeliest changes.",
     "error: root mean square error of a coefficient over all rooms and trials (AACE).",
@@ -275,8 +275,8 @@ def _table_1() -> Table:
     ]
     title = (
         "Table 1: expected mean squared error of a coefficient in one room, times 10,000. The paper "
-        "prints mu and sigma of this room rounded. Of what they can have been, 98 % give an error in "
-        "the range."
+        "prints mu and sigma of this room rounded. Of the values that round to these, 98 % give an "
+        "error in the range."
     )
     return Table(["paper", "range"], rows, title, "method")
 

@@ -8,7 +8,7 @@ from rtcal.acoustics import bands
 from rtcal.finder.claim import Candidate
 from rtcal.finder.finding import rivals, support
 from rtcal.finder.verification import MISSES, Miss, Verification, mean_of_known
-from rtcal.report.finding_words import name_of
+from rtcal.report.finding_words import name_of, next_step
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed, with_uncertainty
 from rtcal.support.types import Array
@@ -18,7 +18,8 @@ _SHOWN_MISSES = 3
 _EXACT = 0.005
 """Gap in JND that is printed as 0.00."""
 _USED = (
-    "Matched: alpha is calibrated to it. Held out: neither alpha nor the effect is fitted to it."
+    "Matched: alpha is calibrated to it. Held out: neither alpha nor the effect is fitted to it. No "
+    "mark: the effect alone is fitted to it."
 )
 """What the rows of a table of means are marked by."""
 _MET = 2.0
@@ -40,25 +41,28 @@ def misses(v: Verification) -> str:
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
     which = "room after the change" if v.finding.kind == "states" else "corrected model"
-    return f"Do not simulate with the {which}: {_as_compared(v)} its {said}."
+    before, after = _as_compared(v)
+    return f"Do not simulate with the {which}: {before}its {said}{after}."
 
 
-def _as_compared(v: Verification) -> str:
-    """Return with which coefficients or data the corrected model misses a value."""
+def _as_compared(v: Verification) -> tuple[str, str]:
+    """Return where the corrected model misses a value, as words before it, and why, as words after."""
     if v.finding.kind == "states":
-        return "with the change that was found,"
+        return "with the change that was found, ", ""
     if v.finding.kind == "positions":
-        return "averaged over pairs to which it was not fitted,"
+        return "averaged over pairs to which it was not fitted, ", ""
     if not v.runs:
-        return "with the effect at its size, no coefficients near the input give the measured T;"
+        of_size = "with an effect of this size"
+        return "", f", because no coefficients near the input give the measured T {of_size}"
     scaled = v.models[1] not in v.runs
-    return f"in the second run{', scaled to the measured T by the equation' * scaled},"
+    return f"in the second run{', scaled to the measured T by the equation' * scaled}, ", ""
 
 
-def _unproven(v: Verification) -> str:
-    """Return what a reader may conclude of an unproven finding, with the reason not yet given."""
+def _unproven(v: Verification, found: str) -> str:
+    """Return that a finding is unproven, as far as the measured values show why."""
     why = ", because the corrected model does not reproduce all measured values" if v.misses else ""
-    return f"The verification neither confirms the effect nor rules it out{why}."
+    said = f"the verification neither confirms {found} nor rules it out{why}"
+    return f"The correction is unproven: {said}."
 
 
 def sentence(v: Verification) -> str:
@@ -84,17 +88,24 @@ def sentence(v: Verification) -> str:
         again, but = _found_again(v)
         found = "what was found" if v.corrected is None else name_of(v.finding, _verified(v).effect)
         by = with_uncertainty(abs(v.gain), v.uncertainty, 2)
-        said = [
-            f"The correction is {v.verdict}{but if supported else ''}: {again}adding {found} to the "
-            f"model {verb} the mean deviation at data that were not fitted ({listed(v.held_out)}) "
-            f"from {v.before:.2f} to {v.after:.2f} JND (by {by} JND, standard error"
-            f"{f'; required: more than {v.needed:.2f} JND' if supported else ''}).",
+        gain = (
+            f"{again}adding {found} to the model {verb} the mean deviation at data that were not "
+            f"fitted ({', '.join(v.held_out)}) from {v.before:.2f} to {v.after:.2f} JND (by {by} JND, "
+            f"standard error{f'; required: more than {v.needed:.2f} JND' if supported else ''})."
+        )
+        measured = [
             _as_simulated(v),
             as_sentence(listed(grounds)) if grounds else "",
+        ]
+        if v.verdict == "unproven":
+            said = [_unproven(v, found), misses(v), f"{gain[:1].upper()}{gain[1:]}", *measured]
+            return " ".join(filter(None, said))
+        said = [
+            f"The correction is {v.verdict}{but if supported else ''}: {gain}",
+            *measured,
             "The model is better, but the name of the effect may still be wrong."
             if supported
             else "",
-            _unproven(v) if v.verdict == "unproven" else "",
         ]
     return " ".join(filter(None, [*said, misses(v)]))
 
@@ -158,8 +169,7 @@ def _of_time(v: Verification) -> str:
     if v.corrected is not None and v.corrected.off > _MET:
         return (
             f"Over all bands, {time} of the calibrated corrected model deviates from the measured "
-            f"{time} by {v.corrected.off:.1f} times the measurement's uncertainty (root mean square): "
-            "with this effect at this size, no coefficients near the input give the measured values."
+            f"{time} by {v.corrected.off:.1f} times the measurement's uncertainty (root mean square)."
         )
     how = "exactly" if gap < _EXACT else f"to {gap:.2f} JND"
     return (
@@ -224,7 +234,7 @@ def gaps(v: Verification) -> Table:
 
 def blocks(v: Verification) -> list[Block]:
     """Return a verification as blocks, with the next measurement unless the finding is supported."""
-    advice = None if v.verdict == "supported" else v.finding.advice
-    following = [] if advice is None else [f"Next: {advice}"]
-    out: list[Block] = [*map(Note, [sentence(v), *following, *notes(v)]), gaps(v)]
+    step = "" if v.verdict == "supported" else next_step(v.finding, v)
+    following = [f"Next: {step}"] if step else []
+    out: list[Block] = [*map(Note, [sentence(v), *notes(v), *following]), gaps(v)]
     return out if v.corrected is None else [*out, *v.corrected.blocks(v.uncorrected)]
