@@ -769,7 +769,7 @@ def _place(f: Finding) -> str:
     if f.surface is not None:
         at = None if f.located is None else f.located.middle
         about = f", about ({', '.join(f'{x:.1f}' for x in at)}) m" if at is not None else ""
-        return f', on "{f.surface}" ({percent(f.surfaces[f.surface])}){about}'
+        return f' on "{f.surface}" (probability {percent(f.surfaces[f.surface])}){about}'
     some = [(f'"{name}"', f.surfaces[name]) for name in f.likely_surfaces]
     return f", {choice(some, 'most likely on')}" if some else ""
 

@@ -97,8 +97,11 @@ def shrunk(result: Diagnosis) -> str:
     if verified is None or np.isnan(verified.before):
         return ""
     gap = verified.by_seed.mean(axis=1)[0]
-    which = "model as simulated" if verified.runs else "model with its input coefficients"
-    return f"The {which} deviates from the data that were not fitted by {gap:.2f} JND (mean)."
+    which = "as simulated" if verified.runs else "with its input coefficients"
+    return (
+        f"The mean deviation of the model {which}, without the effect, is {gap:.2f} JND at the data "
+        "that were not fitted."
+    )
 
 
 def blocks(result: Diagnosis) -> list[Block]:
@@ -117,7 +120,7 @@ def blocks(result: Diagnosis) -> list[Block]:
     rests_on = [
         words.evidence(finding),
         words.track_record(finding),
-        "The same, step by step:",
+        "These commands give the same results step by step:",
     ]
     return [
         *map(Note, filter(None, said)),

@@ -98,7 +98,8 @@ def sentence(v: Verification) -> str:
             as_sentence(listed(grounds)) if grounds else "",
         ]
         if v.verdict == "unproven":
-            said = [_unproven(v, found), misses(v), f"{gain[:1].upper()}{gain[1:]}", *measured]
+            effect = "the effect" if v.corrected is None else found
+            said = [_unproven(v, effect), misses(v), f"{gain[:1].upper()}{gain[1:]}", *measured]
             return " ".join(filter(None, said))
         said = [
             f"The correction is {v.verdict}{but if supported else ''}: {gain}",
