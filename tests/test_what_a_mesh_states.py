@@ -76,7 +76,10 @@ def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path: 
         path.write_text(dxf(code, 1.0))
         done = mesh.room(path)
         require_box(done)
-        assert done.notes[0] == "the file states no unit: with unit = 1 (in m), the room is 5 × 4 × 3 m"
+        assert (
+            done.notes[0]
+            == "the file states no unit: with unit = 1 (in m), the room is 5 × 4 × 3 m"
+        )
         assert not any("states no unit" in note for note in mesh.room(path, unit=1.0).notes)
 
 

@@ -140,7 +140,7 @@ def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
         "Of the effects in the library, added absorption explains most (over 99 % of the rest)"
         in said
     )
-    assert '"wall 5" (80 %)' in said
+    assert '"wall 5" (probability 80 %)' in said
     assert found.can_be_added
     made = found.apply()
     assert made.added.surface == "wall 5"
