@@ -184,6 +184,8 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
     heading, evidence = verdict(record)[1:]
     evidence, _, step = evidence.partition(_NEXT)
     of_room, *others = remarks(record)
+    if not record["room_taken_as_exact"]:
+        of_room, others = "", [of_room, *others]
     return [
         Note(f"{heading}. {evidence}"),
         *map(Note, _cautions(record)),
@@ -204,7 +206,7 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         Table(labels, shift_rows(record), SHIFT, detail=True),
         Note(_shares_in_words(record)),
         Table(labels, share_rows(record), f"{SHARE} / %", detail=True),
-        Note(f"{_made(record)} {of_room}"),
+        Note(f"{_made(record)} {of_room}".strip()),
     ]
 
 

@@ -439,7 +439,9 @@ def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
     far = [likely(*one) for one in others if one[1] < _NEAR * first[1]]
     said = f"{lead} {called(first[0])} (probability {percent(first[1])})"
     said += f", but {listed(near)} fit{'s' * (len(near) == 1)} nearly as well" if near else ""
-    return said + (f"; less likely {listed(far)}" if far else "")
+    if far:
+        said += f"; less likely {'are' if far[1:] else 'is'} {listed(far)}"
+    return said
 
 
 def unexplained(names: Sequence[str]) -> str:
