@@ -177,16 +177,12 @@ class PositionsPrediction(Result):
         """Sentences on the causes of the first parameter's uncertainty, and what to measure next."""
         first, half = self.parameters[0], Z * self.uncalibrated_sigma
         of = observable(first)
-        both = (
-            of.jnd * width[-1]  # in the parameter's unit, or over a time
-            for width in (
-                self.half_width(first, self.middle - half, self.middle + half),
-                self.half_width(first),
-            )
-        )
+        # In the parameter's unit; those of a time over the time.
+        without = of.jnd * self.half_width(first, self.middle - half, self.middle + half)[-1]
+        known = of.jnd * self.half_width(first)[-1]
         unit = "" if of.relative_jnd else of.unit or " "
         return [
-            words.gained(*both, parameter_label(first), unit),
+            words.gained(without, known, parameter_label(first), unit),
             words.to_narrow(self.parts(first), 1),
         ]
 
