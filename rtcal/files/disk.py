@@ -427,7 +427,7 @@ def json_numbers(value: Any) -> Any:
     """Return a value as plain numbers, texts, lists and objects for JSON; NaN becomes None.
 
     An array with named columns becomes a list with an object per row. An object with a method
-    ``to_dict`` becomes what this method returns. Any other dataclass becomes its own text, or else its
+    ``to_dict`` becomes what this method returns. Other dataclasses become their own text, or else their
     fields.
     """
     if value is None or isinstance(value, str | bool):

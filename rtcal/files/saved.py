@@ -109,8 +109,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     path : path
-        Folder that ``save``, ``rtcal calibrate --out`` or another command wrote, or its
-        ``result.json``.
+        Folder that ``save`` or a command such as ``rtcal calibrate`` wrote, or its ``result.json``.
 
     Returns
     -------

@@ -407,8 +407,7 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
 def toml_text(table: Mapping[str, Any]) -> str:
     """Return plain values as the text of a TOML file, with each list of numbers on one line.
 
-    Lists of tables stand at the end, with ``[[key]]`` before each; their tables must not contain
-    tables.
+    Lists of tables, which must not contain further tables, stand at the end as ``[[key]]``.
     """
     import tomli_w
 

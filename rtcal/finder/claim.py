@@ -259,10 +259,10 @@ FIELD = "field"
 def of_program(families: Mapping[str, float]) -> Reason | None:
     """Return the reason why a difference may be a geometrical program's own error, or None.
 
-    ``families`` are the probabilities of groups of effects, by name. There is a reason if "field" (an
-    uneven sound field or a second room) and "unknown" are probable, and with "none" leave little for
-    other groups. A geometrical program simulates such a sound field itself, and in uneven fields two
-    programs differ by more than the reference simulations show (benchmarks/studies/runs).
+    ``families`` are the probabilities of groups of effects, by name. "field" is the group of an uneven
+    sound field and a second room. There is a reason if "field" or "unknown" is probable and all other
+    effects are improbable: a geometrical program simulates such a field itself, and in uneven fields
+    two programs differ by more than the reference simulations show (benchmarks/studies/runs).
 
     Examples
     --------

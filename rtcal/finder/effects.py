@@ -411,8 +411,7 @@ class Curtain(Absorber):
 
     The impedance of the fabric is its flow resistance r in parallel with i omega m, where m is its mass
     per area. Behind the fabric is the impedance -i cot(k d cos theta) of plane waves in an airspace of
-    depth d. If d is large, the mean over a band is that of a curtain that hangs free and absorbs on
-    both sides.
+    depth d. If d is large, the mean over a band is that of a free curtain, which absorbs on both sides.
     """
 
     name: ClassVar[str] = "curtain"

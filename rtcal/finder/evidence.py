@@ -238,8 +238,7 @@ def left_out_of(
     """Return the names that are not tried, sorted, from the options ``only`` and ``without``.
 
     ``possible`` are all names. Names in ``without`` are not tried. If ``only`` has names, no others are
-    tried, except those ``in_any_case``. Raises DataError for an unknown name, and if nothing is left to
-    try.
+    tried, except those ``in_any_case``. Raises DataError for an unknown name, and if no name is left.
     """
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
@@ -367,10 +366,9 @@ def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Ge
 class OffTogether:
     """Hold the error that all input coefficients have in common, as estimated from the measurement.
 
-    ``probability`` is that of such an error, given the effects that are identified. ``factor``
-    (n_materials, n_bands) is the mean ratio of true to input coefficients, and ``spread`` the standard
-    deviation of the ratio's logarithm. ``ratio`` (n_bands,) is the room's true over its input
-    absorption area.
+    ``probability`` is that of such an error, given the identified effects. ``factor`` (n_materials,
+    n_bands) is the mean ratio of true to input coefficients, and ``spread`` the standard deviation of
+    the ratio's logarithm. ``ratio`` (n_bands,) is the room's true over input absorption area.
     """
 
     probability: float
@@ -407,8 +405,8 @@ def off_together(
 
     ``changes`` (n_used, n_directions) are the changes of the measured features (ln T20, C80 and others)
     by each common error, one standard deviation each. ``residual`` (n_used,) is measured minus
-    predicted with the input coefficients, and ``covariance`` (n_used, n_used) that of the residual.
-    ``probability`` is kept in the result.
+    predicted with the input coefficients, and ``covariance`` (n_used, n_used) that of the residual. The
+    ``probability`` of the error is part of the result.
     """
     f = changes
     weights, means, variances = [], [], []

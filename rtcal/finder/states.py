@@ -233,8 +233,8 @@ def _climate_covariance(
     """Return the covariance in m⁴ of the difference of the air's absorption 4 m V between two climates.
 
     The shape is (n_bands, n_bands). Both climates are normally distributed about the room's climate,
-    with the ``uncertainty`` in K and in % of relative humidity. Without a room's climate, each is any
-    indoor climate.
+    with the ``uncertainty`` in K and in % of relative humidity. If the room has none, each is any
+    indoor one.
     """
     if room.air is None:
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
@@ -269,8 +269,8 @@ class Baseline:
 
     ``area`` (n_bands,) is the absorption area of the surfaces in m², which the ``equation`` gives for T
     before the change. ``total_area`` is the area of all surfaces in m². ``air`` (n_bands,) is the
-    absorption 4 m V of the air in m². ``climate`` (n_bands, n_bands) is the covariance of ln T by a
-    change of climate.
+    absorption 4 m V of the air in m². ``climate`` (n_bands, n_bands) is the covariance of ln T by the
+    climate.
     """
 
     equation: LinearEquation

@@ -669,8 +669,7 @@ def of_means(
     ``gaps`` are simulated minus measured values in JND, and ``counted`` is True for those that count.
     ``uncertainty`` is their standard uncertainty in JND. ``predictive`` is the ln Bayes factor of the
     effect from the held-out data, whose names are ``held_out``. ``misses`` are the bands whose T the
-    corrected model does not reproduce. ``before`` and ``after`` are calibrations without and with the
-    effect.
+    corrected model does not reproduce. ``before`` and ``after`` are without and with the effect.
     """
     configurations = after.case.configurations
     names = zip(*(feature_names(c.measured) for c in configurations), strict=True)

@@ -30,7 +30,7 @@ def read(room: Room) -> Polyhedron:
     """Return the geometry of a room: its mesh, or a box with the room's dimensions.
 
     For a box the room needs one surface per wall. Raises DataError for the reasons of
-    `rtcal.io.obj.read`, for a mesh with an unknown material, and for a room with neither a mesh nor
+    `rtcal.io.obj.read`, for a mesh with an unknown material, and for a room without mesh and
     dimensions.
     """
     checks.instance("room", room, Room)

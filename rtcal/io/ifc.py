@@ -58,8 +58,8 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     """Return the faces of one space in a building model (IFC), with their materials.
 
     ``unit`` must be None, because the file states its unit. ``space`` is the name of the space, its
-    long name or both; None if the model has one space. An outline with ends at most ``weld`` in m apart
-    is closed.
+    long name or both; None if the model has one space. Gaps up to ``weld`` in m in an outline are
+    closed.
 
     Raises DataError for a file that cannot be read, a given unit, a model without spaces, an outline
     that crosses itself, and an unknown space. Raises MissingDependencyError if ifcopenshell is not

@@ -93,8 +93,7 @@ def from_sweep(
     ------
     DataError
         For files that cannot be read, for different sampling rates, for a given band that the sweep
-        does not excite, and for a recording that does not contain the whole sweep or is the sweep
-        itself.
+        does not excite, and for a recording that lacks a part of the sweep, or is the sweep.
     """
     doubts = list[str]()
     given = [*ir.responses_of(sweep, 1, False, doubts).values()]

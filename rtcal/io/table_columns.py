@@ -320,7 +320,7 @@ def column_of(header: str) -> Column | None:
     Examples
     --------
     >>> column_of("T20 [s] 500 Hz").parameter, column_of("T20 [min]").wrong, column_of("Volume")
-    ('t20', 'T20 in "min"; known are s, sec, ms', None)
+    ('t20', 'T20 cannot have the unit "min"; its units are s, sec, ms', None)
     """
     if len(header) > MAX_HEADER or "\t" in header or ";" in header:  # several cells
         return None

@@ -200,8 +200,7 @@ def content(tables: Mapping[str, Sequence[Sequence[Any]]]) -> bytes:
     """Return the bytes of a workbook with one sheet per table.
 
     ``tables`` has the rows of each table by its name: a header, and rows of values or None. The header
-    is in row 1, and the values begin in cell A2. Raises DataError for names that Excel does not
-    distinguish.
+    is in row 1, and the values begin in cell A2. Raises DataError for names that Excel takes as equal.
     """
     openpyxl = _library()
     book = openpyxl.Workbook()

@@ -612,8 +612,7 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
 def bars(verification: Verification, axes: Any = None) -> Any:
     """Return the figure of mean deviations at held-out data: input, calibrated and corrected model.
 
-    Whiskers show the range over the seeds of the simulator. ``axes`` are those to draw on; None for new
-    ones.
+    Whiskers show the range over the seeds of the simulator. ``axes`` may be None for new ones.
     """
     if axes is None:
         _, axes = new_figure(5.2, 3.8)

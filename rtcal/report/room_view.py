@@ -378,8 +378,7 @@ def of_finding(
 ) -> list[Any]:
     """Return the view of the room for the page of a finding at positions.
 
-    Deviations are those of the ``verification``. ``place`` is a proposed position for a receiver, or
-    None.
+    Deviations are those of the ``verification``. ``place`` is a position proposed for a receiver.
     """
     case, room = finding.case, finding.case.room
     rows = [

@@ -276,8 +276,7 @@ def predict_hypotheses(
     """Return the predicted features (ln T20, C80 and others) with each effect that is tried.
 
     ``grids`` has, for each of ``effects``, the sets of parameters to try; None means those that the
-    effect proposes. Raises DataError if an effect breaks a rule, or has no set with a finite T, C80 and
-    G.
+    effect proposes. Raises DataError if an effect breaks a rule, or has no finite T, C80 and G.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
@@ -752,7 +751,7 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
 
 
 def of_either(case: Case) -> NDArray[np.bool_]:
-    """Return the configurations with a geometrical program's values, (n_configurations, 1, 1) of bool.
+    """Return which configurations have a geometrical program's values, (n_configurations, 1, 1).
 
     In these, the field of the program or that of the room may be the less diffuse one, because the
     scattering coefficients in the program are a guess.
@@ -1325,8 +1324,7 @@ def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], fro
 class Screen:
     """Compute log likelihoods of pairs of effects from the changes that each effect causes alone.
 
-    ``base`` are the numbers of hypotheses (effects with given parameters) that every pair contains,
-    too.
+    ``base`` are the numbers of hypotheses, effects with given parameters, that are in every pair.
     """
 
     def __init__(self, compared: MeansProblem, base: Members = ()) -> None:
@@ -1539,8 +1537,7 @@ class SetPosterior:
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
         """Return the effects that explain the data about as well as each effect of the set ``best``.
 
-        With such an effect in its place, the set has at least `DISTINCT` times the probability of
-        ``best``.
+        With such an effect in its place, the set has at least `DISTINCT` times its probability.
         """
         out = {}
         for name in best:

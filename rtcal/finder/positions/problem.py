@@ -234,8 +234,8 @@ def towards(moved: Array, stated: Array) -> Array:
     """Return the interpolation weights for changes of alpha between the changes that were simulated.
 
     ``moved`` (..., n_bands) are the changes of alpha, and ``stated`` is the input alpha. The simulated
-    changes are the n_nodes `SHARES` of the way to alpha = 1 or, below 0, to a hard wall. The weights
-    are (..., n_bands, n_nodes).
+    changes are the n_nodes `SHARES` of the way to alpha = 1 or, below 0, to a hard wall. Weights: (...,
+    n_bands, n_nodes).
     """
     up = moved / np.maximum(1 - stated, 1e-6)
     down = moved / np.maximum(stated - HARD, 1e-6)
@@ -567,11 +567,11 @@ class Likelihood:
 
     The values are ordered by band, parameter and pair, and ``used`` (n,) is True for those that were
     measured. ``covariance`` (n, n) is that of all errors that do not depend on the hypothesis.
-    ``nodes`` (n_bands, n_values, n_nodes) are, by the name of a surface or other cause, the changes of
-    a band's values by each simulated amount of an effect, between which they are interpolated.
-    ``uneven`` (n_values, n_columns) are deviations of single pairs per unit change of the absorption.
-    ``amount`` (n_values,) are the weights that give the mean change of absorption from a band's
-    changes. ``levels`` are the changes if the room scatters more or less.
+    ``nodes`` has, by the name of a surface or other cause, the changes (n_bands, n_values, n_nodes) of
+    a band's values by the amounts of this cause that were simulated. ``uneven`` (n_values, n_columns)
+    are deviations of single pairs per unit change of the absorption. ``amount`` (n_values,) are the
+    weights that give the mean change of absorption from a band's changes. ``levels`` are the changes if
+    the room scatters more or less.
     """
 
     covariance: Array

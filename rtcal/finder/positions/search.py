@@ -150,8 +150,7 @@ def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[float, fl
     """Return the ln Bayes factors that something differs from the model, and that a pair is noisy.
 
     ``posterior`` are the log weights of the ``hypotheses`` after the measurement. The first factor is
-    against "nothing differs or a pair is noisy" (0 if nothing else is tried), the second against
-    "nothing differs".
+    against "nothing differs or a pair is noisy", the second against "nothing differs".
     """
     none, noisy = posterior[0], np.array(hypotheses.by_row("effect")) == NOISE
     other = ~noisy

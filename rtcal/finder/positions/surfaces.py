@@ -44,8 +44,7 @@ def of_geometry(
 
     By default a surface consists of the faces of one material in one plane, and has the name of its
     largest face. If ``stated`` is given, it has the names of the faces of each surface; all other faces
-    then belong to no surface. Raises DataError for an unknown or repeated face, or a surface without
-    one.
+    then belong to no surface. Raises DataError for unknown or repeated faces, or none.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
@@ -72,8 +71,7 @@ def of_geometry(
 def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
     """Return a note on the surfaces that consist of faces with different names; "" without any.
 
-    ``surfaces`` has the numbers of each surface's faces. Names such as "wall 1" and "wall 2" count as
-    equal.
+    ``surfaces`` has the numbers of each surface's faces. "wall 1" and "wall 2" count as equal.
     """
     said = []
     for name, faces in surfaces.items():

@@ -171,8 +171,8 @@ class Weighing:
     """Compute decays for other coefficients of each face, without tracing new paths.
 
     ``tracer`` is the simulator whose paths are re-weighted, and ``seed`` that of its random numbers.
-    The paths are followed for ``seconds``, and longer if a decay is too short for the parameters
-    ``match``. If ``seconds`` is 0, the time follows from the room's T.
+    The paths are followed for ``seconds``, and longer if a decay is too short to evaluate the
+    parameters ``match``. If ``seconds`` is 0, the time follows from the room's T.
     """
 
     tracer: PathTracing
