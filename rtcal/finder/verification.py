@@ -745,7 +745,7 @@ def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) 
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
     JND, and ``said`` the remaining fields of the `Verification`. The effect is supported if it reduces
-    them by `LEAST_SHRINKAGE` and significantly (one-sided Student's t test).
+    them by at least `LEAST_SHRINKAGE`, and significantly (one-sided Student's t test).
     """
     of_pairs = mean_of_known(np.abs(gaps), (2, 4))
     gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)

@@ -100,7 +100,7 @@ def read(
     """Return the room-acoustic parameters of impulse responses in sound files or SOFA files.
 
     Sound files are WAV, FLAC and all others that soundfile reads. A part like ``LS1_MP3`` or ``S1-R2``
-    of the file's name is its source and receiver; otherwise the source is ``S1`` and the receiver has
+    of the file's name names source and receiver; without it the source is ``S1`` and the receiver has
     the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``; repeats are averaged and count as one
     position. Positions in a SOFA file are named as in `rtcal.io.sofa.read`.
 
