@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -115,11 +116,52 @@ def test_a_room_loses_the_paths_that_its_holes_foretell(tmp_path: Path, side: fl
         leaking.simulate(np.full((2, 1), least / 1.5))
 
 
+def test_a_proposal_holds_in_every_band_of_a_room_that_its_ceiling_absorbs(tmp_path: Path) -> None:
+    """All absorption on one surface, and little scattering: T is longer than Eyring's there."""
+    one = room(tmp_path, 0.12, leaks=True)
+    geometry = geometry_files.read(one)
+    least = by_chords(geometry).least_alpha
+    soft = (least * one.total_area - 0.02 * one.areas[0]) / one.areas[1]
+    uneven = one.replace(
+        alpha=[[0.02, least], [soft, least]],
+        sigma=np.full((2, 2), 0.01),
+        centre_frequencies=[125, 1000],
+        scattering=np.full((2, 2), 0.1),
+    )
+    tracer = geometry_files.path_tracing(uneven, n_paths=4000)
+    found = tracer.simulate(uneven.alpha)
+    assert np.isfinite(found.values["t20"]).all()
+    assert 0 < tracer.lost_share <= MOST_LEAKED
+
+
+def test_a_mesh_taken_open_states_what_its_hole_leaves_unknown(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mesh, out = tmp_path / "box.obj", tmp_path / "room.toml"
+    Polyhedron.from_polygons(with_hole(2.0), leaks=True).save(mesh)
+    assert run("import", "check", mesh, "--open", "--json") == 0
+    checked = json.loads(capsys.readouterr().out)
+    assert [d["kind"] for d in checked["defects"]] == ["open hole"]
+    assert checked["area_uncertainty"] == pytest.approx({"floor": 4 / np.sqrt(3)})
+    assert sum(checked["areas"].values()) == pytest.approx(AREA - 4)
+    materials = ["--catalogue", "floor=carpet_cotton", "--catalogue", "wall=hard_surface"]
+    assert run("import", "catalogue", "--mesh", mesh, "--open", *materials, "--out", out) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "open hole: 1 left as drawn and not in S, 4 m²" in said
+    assert "by what was mended and left open: floor to" in said
+    made = rt.Room.from_file(str(out))
+    row = made.materials.index("floor")
+    assert made.area_sigma[row] * made.areas[row] == pytest.approx(4 / np.sqrt(3), rel=0.05)
+    assert made.volume_sigma * made.volume == pytest.approx(checked["volume_uncertainty"], rel=0.05)
+
+
 def test_closed_stays_the_default_and_large_holes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match="the walls do not close"):
         geometry_files.path_tracing(room(tmp_path, 0.12, leaks=False))
     large = geometry_files.path_tracing(room(tmp_path, 1.0, leaks=True), n_paths=800)
-    with pytest.raises(DataError, match=r"hit no wall, but at most 2 % may, .* catalogue --open"):
+    with pytest.raises(
+        DataError, match=r"hit no wall, but at most 2 % may, .* import \.\.\. --open"
+    ):
         large.simulate(large.room.alpha)
     with pytest.raises(DataError, match="leaks = true can be given only with a mesh"):
         rt.Scene(leaks=True)
@@ -138,9 +180,13 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh, out = tmp_path / "box.obj", tmp_path / "room.toml"
     Polyhedron.from_polygons(with_hole(0.06), leaks=True).save(mesh)
     assert run("import", "check", mesh, "--hole", "0.001") == 2
-    assert re.search(
-        r"add --leaks: by rays .* mean alpha is at least 0\.0\d+", capsys.readouterr().err
-    )
+    said = " ".join(capsys.readouterr().err.split())
+    assert re.search(r"mean alpha of the room is at least 0\.0\d+ in every band", said)
+    assert "less absorption in any band needs `rtcal import ... --open`" in said
+    assert run("import", "check", mesh, "--hole", "0.001", "--leaks") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "open hole: 1 left as drawn and not in S, 0.0036 m²" in said
+    assert "Defects: none" not in said
     options = ["--mesh", mesh, "--hole", "0.001", "--leaks", "--scattering", "0.3", "--out", out]
     materials = ["--catalogue", "floor=carpet_cotton", "--catalogue", "wall=hard_surface"]
     assert run("import", "catalogue", *options, *materials) == 0

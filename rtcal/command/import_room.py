@@ -323,13 +323,16 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
             if leaks and chords is not None:
                 refused += f". --leaks cannot be used, because the holes are too large: {chords}"
             elif takes_paths:
-                refused += f". To use the mesh with its holes, add --leaks: {chords}"
+                refused += (
+                    f". To use the mesh with its holes, take `rtcal import ... --leaks`: {chords}. A "
+                    "room with less absorption in any band needs `rtcal import ... --open`"
+                )
             elif error.unclosed is not None:
                 v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
                 refused += (
                     f". Rays estimate a volume of {rounded(v, 4)} ± {rounded(u, 2)} m³. "
-                    "--open uses this volume, but then only reverberation equations are "
-                    "available, and no path tracing"
+                    "`rtcal import ... --open` uses this volume, but then only reverberation "
+                    "equations are available, and no path tracing"
                 )
             if picture is not None:
                 commit()
@@ -381,7 +384,7 @@ def _check_leaks(room: Room, model: Mended) -> None:
         raise DataError(
             f"--leaks: {chords}, but the mean absorption coefficient is {mean.min():.2g} "
             f"at {band:g} Hz. Close the holes, or use only reverberation equations with "
-            "--open"
+            "`rtcal import ... --open`"
         )
 
 
@@ -453,10 +456,10 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
     """Return the room with what a mesh leaves open of its volume and areas, and the notes on it."""
     read = [console.as_options(note, ["unit"]) for note in model.notes]
     notes = [f"Mesh: {note}" for note in (*read, *map(str, model.defects))]
+    is_open = model.geometry is None or model.geometry.leaks
     if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
         room = room.replace(volume_sigma=sigma)
-        is_open = model.geometry is None or model.geometry.leaks
         drawn = "drawn: its faces do not close" if is_open else "mended"
         notes.append(f"V is known to {100 * sigma:.2g} % (volume_sigma), by what was {drawn}")
     unsure = model.area_uncertainty
@@ -466,7 +469,8 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
     if area_sigma:
         room = room.replace(area_sigma=area_sigma)
         each = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
-        notes.append(f"Areas are known (area_sigma), by what was mended: {each}")
+        left = "mended and left open" if is_open else "mended"
+        notes.append(f"Areas are known (area_sigma), by what was {left}: {each}")
     return room, notes
 
 

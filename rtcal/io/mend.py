@@ -34,8 +34,9 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 from itertools import compress
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -814,8 +815,7 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
             missing,
         )
     for loop, area in zip(loops, areas, strict=True):
-        beside = max(edges_of(loop), key=lambda edge: extent_of(mend.points[[*edge]]))
-        material = part.faces[missing[beside]].material
+        material = _beside(part, missing, loop)
         mend.found(
             "hole",
             [f"at {mend.place(loop[0])}, {material}"],
@@ -868,7 +868,9 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
     drawn = FaceSet(shell.mend, [face for part in (shell, *crossed) for face in part.faces])
     volume, u = volume_by_rays(drawn.polygons)
     size, notes = tuple(np.ptp(shell.points, axis=0).tolist()), shell.mend.drawn.notes
-    error.unclosed = Mended(None, volume, u, areas, size, error.defects, notes)
+    error.unclosed = Mended(
+        None, volume, u, areas, size, (*error.defects, *_left_open(shell)), notes
+    )
     faces = [
         (f"{m} {i}", m, polygon)
         for i, (m, polygon) in enumerate(zip(drawn.materials, drawn.polygons, strict=True), 1)
@@ -876,6 +878,35 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
     with suppress(DataError):  # that the faces bound nothing is in the message
         error.leaking = Polyhedron.from_polygons(faces, leaks=True)
     return error
+
+
+def _left_open(shell: FaceSet) -> list[Defect]:
+    """Return the holes of a shell that is taken as it is drawn; their area is not in S.
+
+    What is missing beside a material may be any share of the hole, as the rest may be of another
+    material. Open edges that bound no hole are counted, because nothing is known of the area there.
+    """
+    missing, points = shell.open_edges(), shell.mend.points
+    loops = loops_of(missing)
+    if loops is None:
+        done = "bound no hole: the area that S lacks there is unknown"
+        return [Defect("open edge", len(missing), 0.0, 0.0, 0.0, 0.0, (), done)]
+    found = list[Defect]()
+    for loop in loops:
+        area, beside = area_of(points[loop]), _beside(shell, missing, loop)
+        at = (f"at {shell.mend.place(loop[0])}, {beside}",)
+        u = {beside: float(ANY_SHARE * area)}
+        found.append(
+            Defect("open hole", 1, area, 0.0, 0.0, 0.0, at, "left as drawn and not in S", u)
+        )
+    return [reduce(add, found)] if found else []
+
+
+def _beside(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> str:
+    """Return the material beside the longest edge of a hole."""
+    points = part.mend.points
+    edge = max(edges_of(loop), key=lambda edge: extent_of(points[[*edge]]))
+    return part.faces[missing[edge]].material
 
 
 _LINES = 64

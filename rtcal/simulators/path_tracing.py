@@ -706,7 +706,8 @@ class Chords(NamedTuple):
             f"by rays V = {rounded(self.volume, 4)} ± {rounded(self.volume_uncertainty, 2)} m³, S = "
             f"{rounded(self.area, 4)} ± {rounded(self.area_uncertainty, 2)} m²; "
             f"{100 * self.lost:.2g} % of the rays leave through holes, and of the paths of a tracing "
-            f"at most {100 * MOST_LEAKED:g} % where the mean alpha is at least {self.least_alpha:.2g}"
+            f"at most {100 * MOST_LEAKED:g} % where the mean alpha of the room is at least "
+            f"{self.least_alpha:.2g} in every band"
         )
 
 
@@ -848,7 +849,7 @@ def trace(
             f"{lost} of {per_batch * len(jobs)} paths hit no wall, but at most "
             f"{100 * most:g} % may, because the faces of the room leave gaps or cut "
             "through each other. Repair the mesh with `rtcal import check`; or use only "
-            "reverberation equations, with `rtcal import catalogue --open`"
+            "reverberation equations, with `rtcal import ... --open`"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
     direct = direct_lengths(geometry, sources, receivers)
