@@ -542,7 +542,7 @@ def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_pat
     _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
     text = files[tmp_path / "instructions.txt"].decode()
     assert "drawn larger" in " ".join(text.split())
-    assert re.search(r"^opening, 3\d\d m² +0\.6", text, re.M)
+    assert re.search(r"^opening, 3\d\d\.\d\d m² +0\.6", text, re.M)
     old = next(line for line in text.splitlines() if line.startswith("walls, old"))
     assert [float(v) for v in old.split()[2:]] == [0.05] * 6
     assert "means over positions do not show the place" in " ".join(text.split())
@@ -558,6 +558,6 @@ def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber: Finding) -> No
     patch = replace(made, notes=(drawn, lost))
     said = "\n".join(lines_of(of_finding.instructions(absorber, patch, made.room)))
     said = " ".join(said.split())
-    assert said.index("2. Draw a surface") < said.index("has 11 m² in the mesh")
-    assert said.index("has 11 m² in the mesh") < said.index("3. A list of materials cannot hold")
-    assert said.count("11 m²") == 1
+    assert said.index("2. Draw a surface") < said.index("has 11.00 m² in the mesh")
+    assert said.index("has 11.00 m² in the mesh") < said.index("3. A list of materials cannot hold")
+    assert said.count("11.00 m²") == 1

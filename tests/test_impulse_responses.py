@@ -71,6 +71,41 @@ def response(t: float, rng: np.random.Generator, rate: int = 16000) -> np.ndarra
     return noise
 
 
+def test_the_level_is_that_of_the_whole_energy(tmp_path: Path) -> None:
+    """A gain of 10 is 20 dB; another sampling rate and the peak of a file change nothing."""
+    parts = [
+        (1.0, response(0.8, np.random.default_rng(5))),
+        (0.1, response(0.8, np.random.default_rng(5))),
+        (0.3, response(0.4, np.random.default_rng(6))),
+    ]
+    for i, (gain, samples) in enumerate(parts):
+        soundfile.write(tmp_path / f"S1-R{i}.wav", 0.2 * gain * samples, 16000, subtype="FLOAT")
+    paths = sorted(tmp_path.glob("*.wav"))
+    bands = [500.0, 1000.0]
+    assert "level" not in ir.read(paths, bands=bands).measurement.values
+    level = ir.read(paths, bands=bands, level=True).measurement.values["level"]
+    np.testing.assert_allclose(level[0] - level[1], 20.0, atol=1e-4)
+    # Half of T is half of the energy, but for the noise-like sequence.
+    np.testing.assert_allclose(level[0] - level[2] + 20 * np.log10(0.3), 3.0, atol=1.5)
+    # White noise of unit density: the band has its bandwidth over half the sampling rate.
+    energy = 0.2**2 * decay(0.8, 16000).sum() / 16000
+    share = ir.bandwidth_of(np.array(bands), 1) / 8000
+    np.testing.assert_allclose(level[0], 10 * np.log10(energy * share), atol=1.0)
+
+
+def test_levels_of_normalised_files_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for i in range(2):
+        samples = response(0.5 + i, np.random.default_rng(i))
+        soundfile.write(tmp_path / f"S1-R{i}.wav", samples / np.abs(samples).max(), 16000)
+    files = sorted(map(str, tmp_path.glob("*.wav")))
+    assert run("measure", *files, "--level") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "have the same peak, 1, so they were normalised" in said
+    assert run("measure", *files) == 0
+
+
 def test_silence_before_the_direct_sound_moves_nothing() -> None:
     """A file cut at its direct sound had up to 2 dB less C80: the filter's early part was lost."""
     direct = response(0.8, np.random.default_rng(5))[800:]

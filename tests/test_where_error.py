@@ -38,6 +38,15 @@ def error_of(
     )
 
 
+def test_beside_a_run_two_rooms_err() -> None:
+    """The program errs against the real room's simulator as the real room does."""
+    rng = np.random.default_rng(4)
+    runs, noise = controls(rng.standard_normal((RUNS, *SHAPE))), np.zeros((GROUPS, *SHAPE))
+    none = np.zeros((*noise.shape, STILL.shape[-1]))
+    given = runs, noise, STILL, none, TRACINGS, OCTAVES
+    np.testing.assert_allclose(simulator_error(*given, erring=2), 2 * simulator_error(*given))
+
+
 def with_noise(error: float, noise: float, more_paths: int = 1) -> Any:
     """Return the error of reference simulations, the difference of two tracings of ``noise`` each."""
     rng = np.random.default_rng(1)

@@ -10,7 +10,10 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.apply import corrected_geometry
+from rtcal.finder.verification import OF_RUNS, _less, verify
+from rtcal.report.verification_words import notes
 from rtcal.simulators import RayTracing
+from rtcal.simulators.base import Observations
 from rtcal.support.errors import DataError
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_corrected import candidate
@@ -55,6 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     program(case.geometry, room, 1).save(str(where / "simulated.csv"))
     program(case.geometry, room, 2).save(str(where / "same.csv"))
     program(made.geometry, made.room, 3).save(str(where / "measured.csv"))
+    program(made.geometry, made.room, 4).save(str(where / "corrected.csv"))
     return where
 
 
@@ -70,6 +74,63 @@ def test_the_disagreement_is_the_programs(folder: Path) -> None:
     best = other.best
     assert best is not None
     assert best.family.startswith("added absorption") or best.surface is None
+
+
+@pytest.fixture(scope="module")
+def finding(folder: Path) -> rt.finder.Finding:
+    """The same, with one effect alone, which is quick."""
+    return rt.find(read(folder), only=["opening"], cache=folder / "kept")
+
+
+@pytest.mark.long
+def test_a_second_run_is_compared_at_pairs(finding: rt.finder.Finding, folder: Path) -> None:
+    """The program simulates what is hidden, so that only its noise is left, by pair."""
+    second = rt.Measurement.from_file(str(folder / "corrected.csv"))
+    found = replace(finding, verdict="family", family="added absorption, flat")
+    chosen = {"effect": "opening", "at": (7.0, 2.2, 1.4)}
+    made = verify(found, simulated=second, **chosen)
+    assert made.models == OF_RUNS
+    assert made.runs == OF_RUNS[:1]
+    assert made.gaps.shape[0] == 3
+    assert len(made.places) == len(finding.pairs)
+    first, calibrated, corrected = made.by_seed.mean(axis=1)
+    assert corrected < 0.7 * calibrated <= 0.71 * first
+    # As simulated is the run itself, whatever the tracer gives.
+    (whole,) = found.comparisons
+    deviations = np.abs(whole.at_pairs["t20"])
+    assert np.nanmean(np.abs(made.gaps[0, 0, 0])) == pytest.approx(np.nanmean(deviations))
+    assert np.nanmean(np.abs(made.again)) < 0.5 * np.nanmean(np.abs(made.gaps[0]))
+    assert "the second run contains" in " ".join(notes(made)).lower()
+    # A run with the calibrated coefficients takes the tracer's place; T is matched.
+    given = verify(found, simulated=second, calibrated=finding.case.simulated, **chosen)
+    assert given.runs == OF_RUNS
+    assert not given.counted[0].any()
+    assert given.counted[1:].all()
+    np.testing.assert_allclose(given.gaps[1], given.gaps[0])
+    with pytest.raises(DataError, match="this is the first simulation again"):
+        verify(found, simulated=finding.case.simulated, **chosen)
+    with pytest.raises(
+        DataError, match="calibrated is compared with a simulation of the corrected"
+    ):
+        verify(found, calibrated=second)
+    with pytest.raises(DataError, match="effect says what a second run contains"):
+        verify(found, effect="opening")
+
+
+def test_a_measurement_less_an_offset_keeps_its_relative_uncertainty() -> None:
+    """A calibration to it is that of the tracer plus the offset to the measurement."""
+    whole = given(*MATCH)
+    own = {"t20": np.full_like(whole.values["t20"], 0.02)}
+    common = {"t20": np.full(len(BANDS), 0.03), "c80": np.full(len(BANDS), 0.4)}
+    whole = replace(whole, uncertainty=own, common_uncertainty=common)
+    offset = np.random.default_rng(2).normal(0, 0.1, (len(MATCH), len(whole.pairs), len(BANDS)))
+    less = _less(whole, MATCH, whole.pairs, offset)
+    left = [Observations.of_measurement(of, MATCH, whole.pairs).values for of in (whole, less)]
+    np.testing.assert_allclose(left[0] - left[1], offset)
+    np.testing.assert_allclose(less.uncertainty["t20"] / less.values["t20"], 0.02)
+    share = less.common_uncertainty["t20"] / less.values["t20"].mean(axis=0)
+    np.testing.assert_allclose(share, 0.03, rtol=1e-6)
+    np.testing.assert_allclose(less.common_uncertainty["c80"], 0.4)
 
 
 def beside(run: rt.Measurement, of: rt.Measurement) -> rt.finder.PositionsCase:

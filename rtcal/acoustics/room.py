@@ -304,8 +304,7 @@ class Directivity:
         stated = sum(each is not None for each in (self.index, self.gains, self.file))
         if stated != 1:
             raise DataError(
-                "a directivity must have exactly one of index, gains and file; this one "
-                f"has {stated or 'none'}"
+                f"a directivity must have exactly one of index, gains and file; this one has {stated}"
             )
         object.__setattr__(self, "aim", direction("aim", self.aim))
         object.__setattr__(self, "up", direction("up", self.up))

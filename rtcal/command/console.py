@@ -33,8 +33,10 @@ if TYPE_CHECKING:
     from rtcal.modes.calibrate import ModesResult
 
 
-def as_options(text: str, arguments: Sequence[str]) -> str:
+def as_options(text: str, arguments: Sequence[str], named: Mapping[str, str] | None = None) -> str:
     """Return a message with the options of a command in place of Python's arguments.
+
+    ``named`` has the option of an argument with another name.
 
     Examples
     --------
@@ -50,7 +52,7 @@ def as_options(text: str, arguments: Sequence[str]) -> str:
         text = re.sub(pattern, rf'{option} "\1=\2"', text)
         text = re.sub(rf"^{argument}:", f"{option}:", text)
     for argument in arguments:
-        option = "--" + argument.removeprefix("n_").replace("_", "-")
+        option = "--" + (named or {}).get(argument, argument.removeprefix("n_").replace("_", "-"))
         text = text.replace(f"{argument}=True", option)
         text = re.sub(rf'\b{argument} ?= ?(?:"(\w+)"|("[^"]*"|[\w.]+))', rf"{option} \1\2", text)
         if "_" in argument:
@@ -59,12 +61,15 @@ def as_options(text: str, arguments: Sequence[str]) -> str:
 
 
 @contextmanager
-def errors_name_options(*arguments: str) -> Iterator[None]:
-    """Replace Python's arguments by the command's options in the message of a DataError."""
+def errors_name_options(*arguments: str, **named: str) -> Iterator[None]:
+    """Replace Python's arguments by the command's options in the message of a DataError.
+
+    ``named`` are arguments whose option has another name.
+    """
     try:
         yield
     except DataError as error:
-        raise DataError(as_options(str(error), arguments)) from error
+        raise DataError(as_options(str(error), (*arguments, *named), named)) from error
 
 
 def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:

@@ -61,6 +61,11 @@ _OUT = console.file("out", "Measurement (CSV, xlsx) to write.")
         "Also write the standard uncertainty of T20, T30, EDT, C50 and C80: per value that of one "
         "decay, in common the reproducibility between measuring teams.",
     ),
+    console.flag(
+        "level",
+        "Also write the relative level. The power of each source and the gain must have been the same "
+        "in all files, and no file normalised.",
+    ),
     "repeats",
     console.file(
         "positions",
@@ -76,6 +81,7 @@ def measure(
     sweep: str | None,
     interrupted: bool,
     uncertainty: bool,
+    level: bool,
     repeats: bool,
     positions: str | None,
     out: str | None,
@@ -94,11 +100,13 @@ def measure(
     from rtcal.io import impulse_responses, recordings, sofa
     from rtcal.support.speed import bar
 
-    if interrupted and (sweep is not None or uncertainty):
-        other = "--uncertainty" if sweep is None else "--sweep"
-        why = "the uncertainty is then the spread of the decays after the stops"
-        if sweep is not None:
-            why = "a recording holds either a sweep or stopped noise"
+    if interrupted and (sweep is not None or uncertainty or level):
+        other = "--sweep" if sweep is not None else "--uncertainty" if uncertainty else "--level"
+        why = {
+            "--sweep": "a recording holds either a sweep or stopped noise",
+            "--uncertainty": "the uncertainty is then the spread of the decays after the stops",
+            "--level": "stopped noise has the level of a steady sound",
+        }[other]
         raise DataError(f"{other} cannot be given with --interrupted: {why}. Leave {other} out")
     given = responses if sweep is None else (*responses, sweep)
     spare([path for path in (out, positions) if path is not None], given)
@@ -110,12 +118,14 @@ def measure(
         )
     scene = None if positions is None else sofa.read(responses[0]).positions_text()
     with (
-        console.errors_name_options("channels", "repeats"),
+        console.errors_name_options("channels", "repeats", "level"),
         bar(len(responses), "response", console.bar_wanted(), console.said()) as shown,
     ):
-        read = recordings.interrupted if interrupted else impulse_responses.read
+        read = (
+            recordings.interrupted if interrupted else partial(impulse_responses.read, level=level)
+        )
         if sweep is not None:
-            read = partial(recordings.from_sweep, sweep=sweep)
+            read = partial(recordings.from_sweep, sweep=sweep, level=level)
         analysis = read(
             responses,
             bands="octave" if bands is None else bands,

@@ -238,20 +238,23 @@ def verified(finding: Any, cache: Path, scheduler: str | None = None) -> Any:
     It is kept in the folder ``cache``. At positions, several seeds are simulated. ``scheduler`` is the
     address of a Dask scheduler; None simulates on this machine.
     """
-    from rtcal import finder
-
     if not finding.can_be_verified:
         return None
 
     def verify() -> Any:
-        if finding.kind != "positions":
-            return finder.verify(finding)
-        with _progress("model") as progress:
-            return finder.verify(
-                finding, seeds=SEEDS, cache=cache, progress=progress, scheduler=scheduler
-            )
+        return _verified(finding, cache, scheduler=scheduler)
 
     return _once(cache, finding, {"seeds": SEEDS}, verify)
+
+
+def _verified(finding: Any, cache: Path, **options: Any) -> Any:
+    """Return `rtcal.finder.verify` of a finding; at positions over `SEEDS`, with progress."""
+    from rtcal import finder
+
+    if finding.kind != "positions":
+        return finder.verify(finding, **{k: v for k, v in options.items() if v is not None})
+    with _progress("model") as progress:
+        return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress, **options)
 
 
 @click.command(short_help="Where your simulation and the measurement disagree.")
@@ -392,6 +395,16 @@ _EFFECT = console.option(
 )
 
 
+_PLACE = console.option(
+    "place",
+    None,
+    "With a geometry: middle of the patch in m, on its surface.",
+    "at",
+    metavar="X,Y,Z",
+    callback=lambda context, parameter, text: _place(text),
+)
+
+
 @click.command(short_help="Compare the deviations with and without what was found.")
 @console.takes(
     "FOUND",
@@ -401,6 +414,7 @@ _EFFECT = console.option(
         "With --simulated, what the program gave of the model calibrated without the correction.",
     ),
     _EFFECT,
+    _PLACE,
     "before",
     console.file(
         "after",
@@ -416,6 +430,7 @@ def verify(
     simulated: str | None,
     calibrated: str | None,
     effect: str | None,
+    at: tuple[float, ...] | None,
     out: Path | None,
 ) -> None:
     """Verify that the effect which was found improves the model at data that it was not fitted to.
@@ -427,8 +442,9 @@ def verify(
     predicted. With --before and --after, the change that was found predicts further pairs.
 
     If your program's result was given to `rtcal find`, --simulated is its result for the corrected
-    model, which `rtcal apply` describes. The equation scales both results to the measured T before they
-    are compared. --out writes a page of the verification.
+    model, which `rtcal apply` describes. Both results are then calibrated before they are compared: for
+    means the equation scales them to the measured T; with a geometry rtcal's tracer calibrates them to
+    half of the pairs, and the other half is compared. --out writes a page of the verification.
 
     \b
     Example: rtcal verify found
@@ -461,10 +477,10 @@ def verify(
     some: dict[str, Any] = {
         n: console.read_measured(path) for n, path in runs.items() if path is not None
     }
-    some |= {} if effect is None else {"effect": effect}
+    some |= stated({"effect": effect, "at": at}, "effect", "at")
     if some:
-        with console.errors_name_options(*runs, "effect"):
-            verification = finder.verify(finding, **some)
+        with console.errors_name_options(*runs, "effect", at="place"):
+            verification = _verified(finding, kept_beside(found), **some)
     if verification is None:
         why, nothing = finding.refusal, ""
         if why is None and finding.kind == "means" and not finding.can_be_verified:
@@ -495,14 +511,7 @@ def verify(
         ("patch", "material"),
         "With a geometry: a patch on the surface (default), or the whole surface.",
     ),
-    console.option(
-        "place",
-        None,
-        "With a geometry: middle of the patch in m, on its surface.",
-        "at",
-        metavar="X,Y,Z",
-        callback=lambda context, parameter, text: _place(text),
-    ),
+    _PLACE,
     _EFFECT,
 )
 def apply(found: str, out: str, **options: Any) -> None:
@@ -543,7 +552,7 @@ def apply(found: str, out: str, **options: Any) -> None:
             f"--out {out} {what}, but the results need a folder. Give a folder, such as "
             f"--out {target.with_suffix('')}"
         )
-    with console.errors_name_options("effect", "at", "form"):
+    with console.errors_name_options("effect", "form", at="place"):
         said, record, files = of_finding.correct(finding, target, verification, **options)
     if files:
         make_folder(target)

@@ -416,8 +416,8 @@ class Finding(Result):
         """Reason why you must give `apply` the name of an effect; None if you need not.
 
         The reason is that no effect has a probability of `LEAST_ADDED`. Effects of one group on one
-        surface count together, because they change the model alike. If the verdict is "unknown",
-        probabilities are relative to their sum over all known effects.
+        surface count together, because they change the model alike. If the verdict is "unknown", a
+        probability is a share of that of all known effects.
         """
         best, known = self.likeliest, [c for c in self.candidates if c.effect != UNKNOWN]
         if not self.can_be_added or self.kind == "states" or best is None:

@@ -8,10 +8,13 @@ Of means over positions these are C80 and G, and each configuration but the firs
 anew to the rest, both models are calibrated to the rest, and the part is predicted. T20, EDT and T30 of
 one configuration leave nothing to hold out: the shape of a decay fits a coupled room, a field that is
 not diffuse and a noise floor alike. Of a case with further parameters or bands these are held out, and
-the effect stays as it was found. What the user's program gives of the corrected model may take the
-place of that model. At positions and of two states half of the pairs search again, and the others are
-predicted: at positions by a model that is traced and calibrated anew, of two states by the shift of
-ln T.
+the effect stays as it was found. At positions and of two states half of the pairs search again, and the
+others are predicted: at positions by a model that is traced and calibrated anew, of two states by the
+shift of ln T.
+
+What the user's program gives of the corrected model may take the place of that model. Each run is moved
+by what a calibration changes, of means by the equation and at positions by the tracer: the coefficients
+of the program are wrong whatever is missing.
 """
 
 from __future__ import annotations
@@ -72,6 +75,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.normal import symmetric_root
 from rtcal.support.speed import TaskProgress, single_threaded_blas
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 from rtcal.support.workers import workforce
 
@@ -184,16 +188,18 @@ class Verification(Result):
     corrected: Recalibrated | None = None
     """Calibrations to all data without and with the effect, for means."""
     runs: tuple[str, ...] = ()
-    """Names of those ``models`` that are a program's run as it is, for means; the others were scaled to
-    the measured T."""
+    """Names of those ``models`` that are a program's run as it is. The others were moved by a
+    calibration: for means to the measured T, at positions to half of the pairs."""
     features: Array = field(default_factory=partial(np.zeros, 0))
     """Features that the last model predicts for means, with its bias, (n_configurations, n_features,
     n_bands)."""
     again: Array = field(default_factory=partial(np.zeros, 0))
-    """Deviations in JND of a program's second run before it is scaled to the measured T, for means,
-    (n_quantities, n_places, n_bands)."""
+    """Deviations in JND of a program's second run before a calibration moves it, (n_quantities,
+    n_places, n_bands)."""
     effect: str = ""
     """Name of the effect that is verified, for means."""
+    contained: Candidate | None = None
+    """Candidate that a program's second run contains, at positions."""
 
     @property
     def sizes(self) -> Array:
@@ -244,12 +250,9 @@ class Verification(Result):
 
     @property
     def little_left(self) -> bool:
-        """Whether the first run, scaled to the measured T, deviates too little for a second test."""
-        return (
-            self.uncorrected is not None
-            and self.finding.case.has_run
-            and self.before <= self.needed
-        )
+        """Whether the first run deviates too little for a second test, once it is calibrated."""
+        means_or_run = self.uncorrected is not None or self.again.size > 0
+        return means_or_run and self.finding.case.has_run and self.before <= self.needed
 
     @property
     def objections(self) -> tuple[Reason, ...]:
@@ -280,7 +283,7 @@ class Verification(Result):
         They contradict it if their group is another one, with all added absorption as one group, or if
         the finding identifies a surface and they are on one that these positions distinguish from it.
         """
-        found = self.finding.likeliest if self.added else None
+        found = (self.contained or self.finding.likeliest) if self.added else None
         if found is None:
             return [], False
         claimed = self.finding.surface
@@ -350,8 +353,10 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
         If a program's values were given to `rtcal.find`, also ``simulated``, the program's values for
         the corrected model in the first configuration, and ``calibrated``, its values for the model
         that was calibrated without the correction; without ``calibrated``, the equation scales the
-        program's values to the measured T. If positions were compared: ``seeds`` of the simulator,
-        whose spread shows its noise, and ``cache``, ``progress`` and ``scheduler`` as for `rtcal.find`.
+        program's values to the measured T. If positions were compared: the same, with ``effect`` and
+        ``at`` as you gave them to `Finding.apply`; without ``calibrated``, the path tracing calibrates
+        the program's values to half of the pairs. Also ``seeds`` of the simulator, whose spread shows
+        its noise, and ``cache``, ``progress`` and ``scheduler`` as for `rtcal.find`.
         If two measurements of the room were compared: measurements ``before`` and ``after`` with
         further pairs, which the finding then predicts, and the ``seed`` of the random numbers.
 
@@ -468,11 +473,7 @@ def _of_means(
             f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; "
             f"it must have those of the finding, {len(own.configurations)} in {own.room.n_bands}"
         )
-    if simulated is None and calibrated is not None:
-        raise DataError(
-            "calibrated is given without simulated: add the simulation of the corrected "
-            "model as simulated"
-        )
+    _refuse_alone(simulated, calibrated)
     runs = [
         None if of is None else _second_run(case, of, corrected=of is simulated)
         for of in (calibrated, simulated)
@@ -561,6 +562,15 @@ def _of_means(
     )
 
 
+def _refuse_alone(simulated: Measurement | None, calibrated: Measurement | None) -> None:
+    """Raise DataError if only the run of the model without the correction is given."""
+    if simulated is None and calibrated is not None:
+        raise DataError(
+            "calibrated is given without simulated: add the simulation of the corrected "
+            "model as simulated"
+        )
+
+
 def _moved(corrected: Recalibrated, run: Array) -> Array:
     """Return a second run's features, moved to the measured T.
 
@@ -621,19 +631,32 @@ def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:
 def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array:
     """Return a second run's features, (n_configurations, n_features, n_bands); NaN without any."""
     first = case.configurations[0]
-    if first.simulated is None:
-        raise DataError(
-            "the finding was made without a simulation, with which this one could be "
-            "compared. Search with simulated first"
-        )
-    run = Run(first.simulated.room, simulated).beside(first.measured).run
+    run = _beside_first(first.simulated, first.measured, simulated, corrected=corrected)
     out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
     out[0] = features_of_values(run)
     time, of = first.measured.time_label, "simulated" if corrected else "calibrated"
     if run.time_label != time or np.isnan(out[0, _T20]).all():
         has = ", ".join(map(parameter_label, simulated.values))
         raise DataError(f"{of} has no {time}, but {time} was measured; {of} has only {has}")
-    one = first.simulated.beside(first.measured).run
+    return out
+
+
+def _beside_first(
+    first: Run | None,
+    measured: Measurement,
+    simulated: Measurement,
+    *,
+    corrected: bool,
+    by_pair: bool = False,
+) -> Measurement:
+    """Return a second run's values of what was measured; DataError without a first run, or for it."""
+    if first is None:
+        raise DataError(
+            "the finding was made without a simulation, with which this one could be "
+            "compared. Search with simulated first"
+        )
+    run = Run(first.room, simulated).beside(measured, by_pair=by_pair).run
+    one = first.beside(measured, by_pair=by_pair).run
     if corrected and all(
         p in one.values and np.array_equal(one.values[p], run.values[p], equal_nan=True)
         for p in run.values
@@ -642,7 +665,7 @@ def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array
             "simulated is the same simulation as that of the search; give a simulation of "
             "the corrected model"
         )
-    return out
+    return run
 
 
 def _in_jnd(off: Array) -> Array:
@@ -740,25 +763,34 @@ def reverberation_times(
 # Pairs of positions.
 
 
-def at_pairs(finding: Finding, pairs: Sequence[Pair], gaps: Array, **said: Any) -> Verification:
+def at_pairs(
+    finding: Finding,
+    pairs: Sequence[Pair],
+    gaps: Array,
+    held: NDArray[np.bool_] | None = None,
+    **said: Any,
+) -> Verification:
     """Return the verification of a finding by deviations at held-out source-receiver pairs.
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
-    JND, and ``said`` the remaining fields of the `Verification`. The effect is supported if it reduces
-    them by at least `LEAST_SHRINKAGE`, and significantly (one-sided Student's t test).
+    JND, and ``said`` the remaining fields of the `Verification`. ``held`` (n_parameters,) is which
+    parameters were held out; None for all. The effect is supported if it reduces the deviations by
+    `LEAST_SHRINKAGE` and significantly (one-sided Student's t test).
     """
-    of_pairs = mean_of_known(np.abs(gaps), (2, 4))
+    held = np.ones(gaps.shape[2], dtype=bool) if held is None else held
+    of_pairs = mean_of_known(np.abs(gaps[:, :, held]), (2, 4))
     gains = of_pairs[-2] - of_pairs[-1]  # (n_seeds, n_pairs)
+    gains = gains[:, np.isfinite(gains).all(axis=0)]  # a second run may lack a pair
     n_seeds, n_pairs = gains.shape
-    error = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
-    of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
+    error = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs) if n_pairs > 1 else np.nan
+    of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 < n_pairs else 0.0
     error = float(np.hypot(error, of_seeds))
     needed = max(LEAST_SHRINKAGE, error * float(stdtrit(n_pairs - 1, _CONFIDENCE)))
     return Verification(
         finding=finding,
         places=tuple(" to ".join(pair) for pair in pairs),
         gaps=gaps,
-        counted=np.ones(gaps.shape[2:4], dtype=bool),
+        counted=np.repeat(held[:, np.newaxis], gaps.shape[3], axis=1),
         uncertainty=error,
         needed=needed,
         endured=needed,
@@ -820,9 +852,27 @@ def _misses_over_pairs(
 # Every position.
 
 
+class _Model(NamedTuple):
+    """A model whose values are compared at the pairs beside each of some halves.
+
+    Its values are the ``tracer``'s or, with a ``run``, the run's plus what the tracer says that a
+    calibration changes. The run is of the tracer's room, or of that of ``of_run``.
+    """
+
+    number: int
+    tracer: PathTracing
+    halves: Sequence[Sequence[Pair]]
+    run: Measurement | None = None
+    of_run: PathTracing | None = None
+
+
 def _at_positions(
     finding: Finding,
     *,
+    simulated: Measurement | None = None,
+    calibrated: Measurement | None = None,
+    effect: str | None = None,
+    at: Sequence[float] | None = None,
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
@@ -837,6 +887,16 @@ def _at_positions(
         raise DataError(str(finding.refusal))
     _check_pairs(finding.pairs)
     case: PositionsCase = finding.case
+    _refuse_alone(simulated, calibrated)
+    simulated, calibrated = _second_run_at_pairs(case, simulated, calibrated)
+    made = None
+    if simulated is not None:
+        made = finding.apply(effect=effect, at=at)
+    elif not (effect is None and at is None):
+        name = "effect" if at is None else "at"
+        raise DataError(
+            f"{name} says what a second run contains: give that run as simulated, or leave {name} out"
+        )
     halves, tried = _halves_of(finding.pairs), tuple(finding.effects.values())
     added = list[Candidate | None]()
     for half in halves:
@@ -852,59 +912,143 @@ def _at_positions(
         added.append(next((c for c in again.candidates if c.can_be_added), None))
         if progress is not None:
             progress("search in half of the pairs", len(added), len(halves))
-    gaps = np.full((len(MODELS), len(chosen), *finding.map.shape), np.nan)
-
-    def compare(model: int, n: int, simulated: Observations, half: Sequence[Pair]) -> None:
-        """Keep the gaps at the pairs beside a half; of a relative level less each source's mean."""
-        left = [p for p in finding.pairs if p not in half]
-        measured = Observations.of_measurement(case.in_room, finding.parameters, left)
-        columns = [finding.pairs.index(p) for p in left]
-        relative = LEVEL.key in case.measured.values
-        at_left = gap_at_pairs(simulated.at(measured).values, measured, relative=relative)
-        gaps[model, n][:, columns] = at_left
-
     # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
     # in the stated geometry.
-    tracers: list[tuple[PathTracing, Sequence[Sequence[Pair]]]]
-    tracers = [(case.simulator.denser(), halves)]
-    for half, best in zip(halves, added, strict=True):
-        if best is not None:
-            corrected = corrected_geometry(case.only(half), best).simulator()
-            tracers.append((corrected.denser(), [half]))
-    jobs = [(n, seed, *each) for n, seed in enumerate(chosen) for each in tracers]
+    stated, models = case.simulator.denser(), list[_Model]()
+    if calibrated is None:
+        models.append(_Model(1, stated, halves, case.simulated))
+    if made is None:
+        for half, best in zip(halves, added, strict=True):
+            if best is not None:
+                corrected = corrected_geometry(case.only(half), best).simulator().denser()
+                models.append(_Model(2, corrected, [half], case.simulated, stated))
+    elif calibrated is None:
+        models.append(_Model(2, made.simulator().denser(), halves, simulated))
+    gaps = np.full((len(MODELS), len(chosen), *finding.map.shape), np.nan)
+
+    def compare(model: int, n: int, values: Observations, fitted: Sequence[Pair]) -> None:
+        """Keep the gaps at the pairs beside those that were fitted."""
+        left = [p for p in finding.pairs if p not in fitted]
+        columns = [finding.pairs.index(p) for p in left]
+        gaps[model, n][:, columns] = _gaps_at(finding, values, left)
+
+    jobs = [(n, seed, *each) for n, seed in enumerate(chosen) for each in models]
     task = partial(_simulated, case, finding.parameters, finding.controls)
     told = progress and partial(progress, "models")
     with workforce(scheduler, threads=1) as workers:  # a tracing takes all cores
-        for (n, _, tracer, fitted), made in zip(
+        for (n, _, model, _, fitted, *_), values in zip(
             jobs, workers.in_order(task, jobs, told), strict=True
         ):
-            as_stated = tracer is tracers[0][0]
-            for of, (before, calibrated) in zip(fitted, made, strict=True):
-                if as_stated:
+            for of, (before, after) in zip(fitted, values, strict=True):
+                if model == 1:
                     compare(0, n, before, of)
-                    compare(1, n, calibrated, of)
-                if not as_stated or added[halves.index(tuple(of))] is None:
-                    compare(2, n, calibrated, of)
-    return at_positions(finding, gaps, added, halves)
+                compare(model, n, after, of)
+                if model == 1 and made is None and added[halves.index(tuple(of))] is None:
+                    compare(2, n, after, of)
+    if made is None:
+        found = at_positions(finding, gaps, added, halves)
+        names = (OF_RUNS[0], *MODELS[1:])
+        return replace(found, models=names, runs=names[:1]) if case.has_run else found
+    given = [case.simulated, calibrated, simulated]
+    as_given = [
+        np.full(finding.map.shape, np.nan) if of is None else _gaps_at(finding, of, finding.pairs)
+        for of in given
+    ]
+    if calibrated is not None:
+        gaps = np.array(as_given)[:, np.newaxis]
+    # What any of the models lacks is compared of none.
+    gaps = np.where(np.isfinite(gaps).all(axis=0), gaps, np.nan)
+    found = at_positions(finding, gaps, added, halves, fitted_times=calibrated is not None)
+    return replace(
+        found,
+        models=OF_RUNS,
+        runs=OF_RUNS[:1] if calibrated is None else OF_RUNS,
+        notes=_lacking_at_pairs(case, [of for of in (calibrated, simulated) if of is not None]),
+        again=as_given[-1],
+        contained=made.added,
+    )
+
+
+def _gaps_at(
+    finding: Finding, simulated: Observations | Measurement, pairs: Sequence[Pair]
+) -> Array:
+    """Return the gaps at some pairs in JND; of a relative level less each source's mean."""
+    case: PositionsCase = finding.case
+    if isinstance(simulated, Measurement):
+        simulated = Observations.of_measurement(simulated, finding.parameters, pairs)
+    measured = Observations.of_measurement(case.in_room, finding.parameters, pairs)
+    relative = LEVEL.key in case.measured.values
+    return gap_at_pairs(simulated.at(measured).values, measured, relative=relative)
+
+
+def _lacking_at_pairs(case: PositionsCase, runs: Sequence[Measurement]) -> tuple[str, ...]:
+    """Return what second runs lack of what was compared, as notes."""
+    keys = [observable(name).key_in(case.measured.values) for name in case.match]
+    each = (Run(case.room, run).beside(case.measured, by_pair=True) for run in runs)
+    return tuple(dict.fromkeys(said for both in each for said in both.left_out(keys)))
+
+
+def _less(
+    measured: Measurement, parameters: Sequence[str], pairs: Sequence[Pair], offset: Array
+) -> Measurement:
+    """Return a measurement less an ``offset`` in the units of `Observations`; NaN where that is NaN.
+
+    To calibrate a model to it is to calibrate the model with the offset to the measurement.
+    """
+    values, own = dict(measured.values), dict(measured.uncertainty)
+    common = dict(measured.common_uncertainty)  # by band alone
+    at = [i for i, pair in enumerate(measured.pairs) if pair in pairs]
+    rows = [pairs.index(measured.pairs[i]) for i in at]
+    for name, by in zip(parameters, offset, strict=True):
+        kind = observable(name)
+        key = kind.key_in(values)
+        if key not in values:
+            continue
+        moved = np.array(values[key])
+        moved[at] = kind.natural(kind.observed(moved[at]) - by[rows])
+        factor = moved / values[key] if kind.logarithmic else np.ones_like(moved)
+        if key in own:  # a share of the value stays that share
+            own[key] = own[key] * factor
+        if key in common:
+            common[key] = common[key] * np.nan_to_num(mean_of_known(factor, 0), nan=1.0)
+        values[key] = moved
+    return replace(measured, values=values, uncertainty=own, common_uncertainty=common)
 
 
 def _simulated(
     case: PositionsCase,
     parameters: Sequence[str],
     controls: ControlRuns,
-    job: tuple[int, int, PathTracing, Sequence[Sequence[Pair]]],
+    job: tuple[
+        int,
+        int,
+        int,
+        PathTracing,
+        Sequence[Sequence[Pair]],
+        Measurement | None,
+        PathTracing | None,
+    ],
 ) -> list[tuple[Observations, Observations]]:
-    """Return what a tracer gives as it is, and calibrated to each of some halves of the pairs."""
-    _, seed, tracer, halves = job
+    """Return what a `_Model` gives as it is, and calibrated to each of some halves of the pairs."""
+    _, seed, _, tracer, halves, run, of_run = job
     tracer, made = replace(tracer), []  # without the paths of another job
     trace_ahead(tracer, tracer.room.alpha, seed)
     before = observe_pairs(tracer, tracer.room.alpha, parameters, seed=seed)
+    offset = np.zeros_like(before.values)
+    if run is not None:
+        own = before
+        if of_run is not None:
+            own = observe_pairs(replace(of_run), of_run.room.alpha, parameters, seed=seed)
+        offset = Observations.of_measurement(run, parameters, before.pairs).values - own.values
     for half in halves:
         fitted = case.only(half)
+        measured = fitted.measured
+        if run is not None:
+            measured = _less(measured, parameters, before.pairs, offset)
         result = calibrate_positions(
             tracer,
             tracer.room,
-            fitted.measured,
+            measured,
             parameters,
             exclude=fitted.exclude,
             controls=controls,
@@ -913,8 +1057,27 @@ def _simulated(
         )
         # Its tracer scatters as fitted, with which alpha was calibrated.
         after = observe_pairs(result.tracer, result.alpha, parameters, seed=seed)
-        made.append((before, after))
+        both = (replace(of, values=of.values + offset) for of in (before, after))
+        made.append((next(both), next(both)))
     return made
+
+
+def _second_run_at_pairs(
+    case: PositionsCase, simulated: Measurement | None, calibrated: Measurement | None
+) -> tuple[Measurement | None, Measurement | None]:
+    """Return the second runs in the room's bands, with what was measured alone."""
+    first = None if case.simulated is None else Run(case.room, case.simulated)
+    checked = [
+        None
+        if of is None
+        else _beside_first(first, case.measured, of, corrected=of is simulated, by_pair=True)
+        for of in (simulated, calibrated)
+    ]
+    for of in checked:
+        names = set() if of is None else {observable(p).key_in(of.values) for p in case.match}
+        if of is not None and not names & of.values.keys():
+            raise Run(case.room, of).nothing_common(case.measured)
+    return checked[0], checked[1]
 
 
 def at_positions(
@@ -922,12 +1085,16 @@ def at_positions(
     gaps: Array,
     added: Sequence[Candidate | None],
     halves: Sequence[Sequence[Pair]],
+    *,
+    fitted_times: bool = False,
 ) -> Verification:
     """Return the verification of a finding by the deviations at pairs that were not fitted.
 
     ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
     JND, for each of `MODELS`. ``halves`` are the two halves of the pairs, and ``added`` is the
-    candidate that a fit to each half added to the model; None where it found no surface.
+    candidate that a fit to each half added to the model; None where it found no surface. With
+    ``fitted_times`` the models were calibrated to the reverberation times of all pairs, and only the
+    other parameters were held out.
     """
     pairs, parameters = finding.pairs, finding.parameters
     measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)
@@ -942,12 +1109,18 @@ def at_positions(
             n, mean, left[parameters.index(n)], pairs, frequencies, times
         )
     ]
+    late = [observable(n).part == "late" for n in parameters]
+    held = np.array([not (fitted_times and of) for of in late])
+    words = "each half of the pairs, by a fit to the other half"
+    if fitted_times:
+        words = listed([parameter_label(n) for n, at in zip(parameters, held, strict=True) if at])
     return at_pairs(
         finding,
         pairs,
         gaps,
+        held,
         models=MODELS,
-        held_out=("each half of the pairs, by a fit to the other half",),
+        held_out=(words,) if held.any() else (),
         quantities=tuple(map(parameter_label, parameters)),
         misses=tuple(misses),
         halves=tuple(map(tuple, halves)),

@@ -53,6 +53,7 @@ from rtcal.acoustics.measurement import (
 )
 from rtcal.acoustics.observables import (
     EARLY,
+    LEVEL,
     MARGIN_DB,
     OBSERVABLES,
     TARGET,
@@ -95,12 +96,13 @@ def read(
     channels: int | str | None = None,
     minimum_range: Mapping[str, float] | None = None,
     repeats: bool = False,
+    level: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
     """Return the room-acoustic parameters of impulse responses in sound files or SOFA files.
 
     Sound files are WAV, FLAC and all others that soundfile reads. A part like ``LS1_MP3`` or ``S1-R2``
-    of the file's name names source and receiver; without it the source is ``S1`` and the receiver has
+    of the file's name is its source and receiver; otherwise the source is ``S1`` and the receiver has
     the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``; repeats are averaged and count as one
     position. Positions in a SOFA file are named as in `rtcal.io.sofa.read`.
 
@@ -118,15 +120,19 @@ def read(
     repeats : bool
         Whether several files of one source and receiver are repeats, to be averaged. If False, such
         files are an error. If True, it is an error if there are none.
+    level : bool
+        Whether the power of each source and the gain were the same in all files, so that the relative
+        level of the receivers is evaluated, too.
 
     Raises
     ------
     DataError
-        For a file that cannot be read, and for several channels without ``channels``.
+        For a file that cannot be read, and for several channels without ``channels``. With ``level``,
+        also for files of one source that have the same peak, because they were normalised.
     """
     doubts = list[str]()
     responses = responses_of(path, channels, repeats, doubts)
-    return analysed(responses, bands, ranges_of(minimum_range), progress, doubts)
+    return analysed(responses, bands, ranges_of(minimum_range, level=level), progress, doubts)
 
 
 def responses_of(
@@ -446,11 +452,18 @@ def analysed(
     libraries()
     centres, fractions = centres_of(bands, min(r.sampling_rate for r in responses.values()))
     found: list[list[OfEnergy]] = []
+    peaks = dict[tuple[str, str], float]()
     of_files: dict[str, list[str]] = {_BARE: [], _LATE: [], _CLIPPED: [], _SILENT: []}
-    for response in responses.values():
-        time, onset, silence, n_clipped = _prepared(response)
+    for pair, response in responses.items():
+        time, onset, silence, n_clipped, peak = _prepared(response)
         rate, place, n = response.sampling_rate, response.place, len(centres)
         of_bands = [_of_band(time, onset, rate, float(f), fractions, needed) for f in centres]
+        if LEVEL.key in needed:
+            peaks[pair] = peak
+            _refuse_normalised(responses, peaks, pair)
+        for of_band in of_bands:
+            if LEVEL.key in of_band.values:
+                of_band.values[LEVEL.key] += 20 * np.log10(peak)
         known = [of_band for of_band in of_bands if of_band.values]
         if 2 * sum(of_band.late for of_band in known) > len(known):
             of_files[_LATE].append(place)
@@ -518,6 +531,25 @@ def assembled(
     )
 
 
+_SAME_PEAK = 1e-3
+"""Relative difference of the peaks of two files up to which one normalised both."""
+
+
+def _refuse_normalised(
+    responses: Mapping[tuple[str, str], Response],
+    peaks: Mapping[tuple[str, str], float],
+    last: tuple[str, str],
+) -> None:
+    """Raise DataError if two receivers of a source have the same peak, so that no level is left."""
+    for pair, peak in peaks.items():
+        if pair[0] == last[0] and pair != last and abs(peak / peaks[last] - 1) < _SAME_PEAK:
+            raise DataError(
+                f"level: {responses[pair].place} and {responses[last].place} have the same peak, "
+                f"{peak:.3g}, so they were normalised and their levels cannot be compared. Export "
+                "them with one gain, or leave level out"
+            )
+
+
 LEAST_SILENCE = 0.01
 """Duration in s of digital silence at the end of a response from which a note mentions it."""
 LEAST_CLIPPED = 4
@@ -554,8 +586,8 @@ _LARGEST = 1e150
 """Largest sample whose square is finite, with a margin for sums."""
 
 
-def _prepared(response: Response) -> tuple[Array, int, float, int]:
-    """Return the samples with a peak of 1, the onset, the silence in s and the clipped samples.
+def _prepared(response: Response) -> tuple[Array, int, float, int, float]:
+    """Return the samples with a peak of 1, the onset, the silence in s, the clipped samples, the peak.
 
     Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
     mislead the search for the noise. A constant offset is taken off, since the band filters answer
@@ -578,10 +610,10 @@ def _prepared(response: Response) -> tuple[Array, int, float, int]:
         time = time[: len(time) - n_silent]
     clipped = clipped_samples(time)
     time = time - np.mean(time[-max(len(time) // 10, 1) :])
-    peak = np.max(np.abs(time))
-    time = time / (peak if peak > 0 else 1.0)
+    peak = float(np.max(np.abs(time))) or 1.0
+    time = time / peak
     onset = int(np.argmax(np.abs(time) >= 0.1))
-    return time, onset, n_silent / response.sampling_rate, clipped
+    return time, onset, n_silent / response.sampling_rate, clipped, peak
 
 
 def clipped_samples(time: Array) -> int:
@@ -661,8 +693,9 @@ def of_energy(
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):
         return OfEnergy({}, -np.inf, Floor.SHORT)
-    energy = energy / energy.max()
-    early = early * float(np.sum(energy)) / total
+    most = float(energy.max())
+    energy = energy / most
+    early = early / most
     cut = _cut(energy, rate, centre)
     if cut == len(energy) and energy[cut * 9 // 10 :].mean() > _LOW:
         cut = _cut_into_noise(energy, rate, centre, bandwidth or rate / 2)
@@ -672,6 +705,8 @@ def of_energy(
         if decay_on_line is not None:
             by_line = _evaluated(decay_on_line, rate, needed, early, early_samples)
             done = max(done, by_line, key=lambda of_curve: of_curve.ratio)
+    if LEVEL.key in done.values:
+        done.values[LEVEL.key] += float(10 * np.log10(most))
     return done
 
 
@@ -695,6 +730,8 @@ def _evaluated(
     centre = float(curve.sum() / curve[0]) / rate  # of gravity, in s
     curve[0] += max(early - decayed.subtracted * early_samples, 0.0)
     values = {**_energy_ratios(curve, rate), **times}
+    if LEVEL.key in needed:
+        values[LEVEL.key] = float(10 * np.log10(curve[0] / rate))
     return OfEnergy(
         values={p: v for p, v in values.items() if reach >= needed[p]},
         ratio=ratio if reach >= max(needed.values()) else reach,
@@ -930,8 +967,12 @@ def centres_of(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
     return stated, fractions
 
 
-def ranges_of(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
+def ranges_of(
+    minimum_range: Mapping[str, float] | None, *, level: bool = False
+) -> dict[str, float]:
     chosen = dict(MINIMUM_RANGE)
+    if level:  # all of the energy, as the ratios of energies need it
+        chosen[LEVEL.key] = min(MINIMUM_RANGE.values())
     stated = {} if minimum_range is None else minimum_range
     for name, value in checks.mapped("minimum_range", stated).items():
         parameter = checks.text("minimum_range: a name", name).lower()

@@ -71,6 +71,7 @@ def from_sweep(
     channels: int | str | None = None,
     minimum_range: Mapping[str, float] | None = None,
     repeats: bool = False,
+    level: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
     """Return the room-acoustic parameters (T20, EDT, C80, ...) from recordings of a sweep, in bands.
@@ -86,7 +87,7 @@ def from_sweep(
     bands : "octave", "third-octave" or sequence of float
         Bands to evaluate, see `rtcal.io.impulse_responses.analyse`; octaves or third-octaves that the
         sweep does not excite are left out.
-    channels, minimum_range, repeats, progress
+    channels, minimum_range, repeats, level, progress
         Options of reading and evaluation: see `rtcal.io.impulse_responses.read`.
 
     Raises
@@ -141,7 +142,11 @@ def from_sweep(
         for pair, recording in recordings.items()
     }
     return ir.analysed(
-        deconvolved, centres[excited].tolist(), ir.ranges_of(minimum_range), progress, doubts
+        deconvolved,
+        centres[excited].tolist(),
+        ir.ranges_of(minimum_range, level=level),
+        progress,
+        doubts,
     )
 
 

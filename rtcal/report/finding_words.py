@@ -255,7 +255,7 @@ SENTENCES: dict[str, str] = {
     "number changed": 'The input number of "{material}": it was {before:.4g} and is now {now:.4g}.',
     "patch too large": 'A patch of {patch:.3g} m² does not fit on "{surface}" of {area:.3g} m²: the '
     "whole surface gets the new material.",
-    "patch drawn larger": "The patch has {drawn:.3g} m² in the mesh instead of the {size:.3g} m² that "
+    "patch drawn larger": "The patch has {drawn:.2f} m² in the mesh instead of the {size:.3g} m² that "
     "were found, and lower coefficients, so that a calibration can make it absorb more or less.",
     "bands unknown": "T was not measured in both configurations at {bands:and}, so the room keeps the "
     "coefficients of the first configuration there.",
@@ -976,8 +976,8 @@ def evidence(f: Finding) -> str:
     )
     if f.kind == "positions" and f.case.has_run:
         said += (
-            " Higher odds are required than without a run, because a program differs from "
-            "rtcal's tracer in more ways than the reference simulations show."
+            " The program is assumed to err as much as the reference simulations do, in addition to "
+            "the errors of the model."
         )
     found = f.detection
     if found.verdict is not None and found.noise is not None and found.noise > 0:

@@ -407,12 +407,17 @@ _SAME = 5e-4
 
 
 def instructions(
-    finding: Finding, made: Corrected, room: Room, effect: str | None = None
+    finding: Finding,
+    made: Corrected,
+    room: Room,
+    effect: str | None = None,
+    place: Sequence[float] | None = None,
 ) -> list[Block]:
     """Return what to change in a program's list of materials, what to draw, and what neither can hold.
 
     ``made`` is the corrected model, and ``room`` its room with the coefficients to simulate with.
-    ``effect`` is the name of the effect that was chosen; None if it is the effect that was found.
+    ``effect`` is the name of the effect that was chosen, and ``place`` where it was put; None if it is
+    the effect that was found, where it was found.
     """
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
@@ -424,7 +429,7 @@ def instructions(
     rows, new = list[Row](), list[Row]()
     for name, area, alpha in zip(room.materials, room.areas, room.alpha, strict=True):
         if name not in old:
-            new.append(Row(f"{name}, {area:.3g} m²", alpha, ".3f"))
+            new.append(Row(f"{name}, {area:.2f} m²", alpha, ".3f"))
         elif np.abs(alpha - old[name]).max() > _SAME:
             of = f"{name} (m² per piece)" if name in room.pieces else name
             rows += [Row(f"{of}, old", old[name], ".3f"), Row(f"{of}, new", alpha, ".3f")]
@@ -433,12 +438,14 @@ def instructions(
         "it where it is likely"
     )
     if made.added is not None:
-        at = "in the middle of the surface"
-        if made.added.middle is not None:
-            at = f"about ({', '.join(f'{x:.2f}' for x in made.added.middle)}) m"
-        where = f'on "{made.surfaces[0]}", {at}' if made.form == "patch" else "the whole surface"
+        where = (
+            f'on "{made.surfaces[0]}", {_ends(made)}'
+            if made.form == "patch"
+            else "the whole surface"
+        )
         where += "" if made.form == "patch" else f' "{made.surfaces[0]}"'
     what = words.title(finding) if effect is None else words.name_of(finding, effect)
+    what = what if made.added is None else made.added.title
     out: list[Block] = [Note(f"What to change in the program for {what}.")]
     if rows:
         out += [Note("1. In the list of materials, change alpha:"), Table(labels, rows)]
@@ -467,8 +474,22 @@ def instructions(
     ]
     out += [Note("3. A list of materials cannot hold:"), *lost] if lost else []
     option = "" if effect is None else f' --effect "{effect}"'
+    option += "" if place is None else f" --place {','.join(f'{x:g}' for x in place)}"
     then = f"Simulate again, and then: rtcal verify FOUND{option} --simulated corrected_run.csv"
-    return [*out, Note(then if finding.kind == "means" else "Simulate again.")]
+    return [*out, Note(then)]
+
+
+def _ends(made: Corrected) -> str:
+    """Return where a patch is, by the two corners of the box about it."""
+    solid = made.geometry
+    if solid is None:
+        return "in the middle of the surface"
+    faces = [
+        f for f, name in zip(solid.faces, solid.materials, strict=True) if name == made.material
+    ]
+    points = solid.vertices[np.concatenate([list(face) for face in faces])]
+    low, high = (", ".join(f"{x:.2f}" for x in of) for of in (points.min(0), points.max(0)))
+    return f"from ({low}) to ({high}) m"
 
 
 def _to_calibrate(command: str, made: Corrected) -> str:
@@ -543,7 +564,7 @@ def correct(
         room = calibrated.room
     files = made.contents(out)
     if finding.kind != "states" and finding.case.has_run:
-        said = lines_of(instructions(finding, made, room, effect))
+        said = lines_of(instructions(finding, made, room, effect, at))
         files[out / INSTRUCTIONS] = ("\n".join(said) + "\n").encode()
         lines += ["", *said]
     return "\n".join(lines), record, files

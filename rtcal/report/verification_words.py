@@ -50,7 +50,8 @@ def _as_compared(v: Verification) -> tuple[str, str]:
     if v.finding.kind == "states":
         return "with the change that was found, ", ""
     if v.finding.kind == "positions":
-        return "averaged over pairs to which it was not fitted, ", ""
+        run = "in the second run and " * bool(v.again.size)
+        return f"{run}averaged over pairs to which it was not fitted, ", ""
     if not v.runs:
         of_size = "with an effect of this size"
         return "", f", because no coefficients near the input give the measured T {of_size}"
@@ -79,14 +80,20 @@ def sentence(v: Verification) -> str:
     elif np.isnan(v.before):
         said = [
             "The correction is not tested: the finding was fitted to all that was measured. Measure "
-            "C80 or G, or a second configuration."
+            "C80 or G, or a second configuration.",
+            _as_simulated(v),
+            "A smaller deviation there is no test, because size and name of the effect were fitted to "
+            "these values."
+            if v.again.size
+            else "",
         ]
     else:
         supported = v.verdict == "supported"
         verb = "reduces" if v.gain > 0 else "increases"
         grounds = [str(reason) for reason in v.objections if reason.code != MISSES]
         again, but = _found_again(v)
-        found = "what was found" if v.corrected is None else name_of(v.finding, _verified(v).effect)
+        found = "what was found" if v.contained is None else v.contained.title
+        found = found if v.corrected is None else name_of(v.finding, _verified(v).effect)
         by = with_uncertainty(abs(v.gain), v.uncertainty, 2)
         gain = (
             f"{again}adding {found} to the model {verb} the mean deviation at data that were not "
@@ -115,7 +122,8 @@ def _as_simulated(v: Verification) -> str:
     """Return the gaps of both runs as they are, what was not fitted first; "" without a second run."""
     if not v.again.size:
         return ""
-    first, second = v.sizes[0, 0, :, 0], mean_of_known(np.abs(v.again[:, 0]), 1)
+    known = np.where(np.isfinite(v.again), v.gaps[0].mean(axis=0), np.nan)
+    first, second = (mean_of_known(np.abs(of), (1, 2)) for of in (known, v.again))
     held_out_first = np.argsort(~v.counted[:, 0], kind="stable")
     said = [
         f"{v.quantities[i]} {first[i]:.2f} to {second[i]:.2f} JND"
@@ -130,12 +138,14 @@ def _found_again(v: Verification) -> tuple[str, str]:
     if v.uncorrected is not None:
         alike = [c.effect for c in rivals(v.finding, _verified(v))]
         return "", f", but not distinguished from {listed(alike)}" if alike else ""
-    found, (others, in_kind) = v.finding.likeliest, v.found_elsewhere
+    found, (others, in_kind) = v.contained or v.finding.likeliest, v.found_elsewhere
     if not others or found is None:
         return "", ""
     each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in others)])
     which = "the halves of the pairs" if len(others) > 1 else "half of the pairs"
-    again = f"{which} found {each}, not {found.title} as all pairs did; "
+    not_so = "as all pairs did" if v.contained is None else "which the second run contains"
+    comma = "," * (v.contained is not None)
+    again = f"{which} found {each}, not {found.title}{comma} {not_so}; "
     return again, "" if in_kind else f" for {found.kind}, not for its surface"
 
 
@@ -144,8 +154,8 @@ def notes(v: Verification) -> list[str]:
     if v.uncorrected is not None and v.corrected is not None:
         how = "found" if v.effect == v.finding.best_effect else "verified"
         found = f"The effect that was {how} is {support(v.finding, _verified(v))}."
-        return [found, _of_runs(v) if v.runs else _of_time(v), *v.notes]
-    return [*v.notes, *(_of_pairs(v) if v.halves else ())]
+        return [found, *(_of_runs(v) if v.runs else [_of_time(v)]), *v.notes]
+    return [*(_of_runs(v) if v.runs else ()), *v.notes, *(_of_pairs(v) if v.halves else ())]
 
 
 def _verified(v: Verification) -> Candidate:
@@ -153,15 +163,26 @@ def _verified(v: Verification) -> Candidate:
     return v.finding.candidate(v.effect) or v.finding.candidates[0]
 
 
-def _of_runs(v: Verification) -> str:
+def _of_runs(v: Verification) -> list[str]:
     """Return which models are runs of the program, and what the effect was sized with."""
+    at_pairs, again = v.finding.kind == "positions", v.again.size > 0
     which = f"{listed([*v.models]).capitalize()} are unchanged runs of the program."
-    if v.models[1] not in v.runs:
+    if v.models[1] not in v.runs and not again:
+        which = (
+            f"{v.models[1].capitalize()} and {v.models[2]} are the run plus the changes that rtcal's "
+            "tracer predicts. To compare a second run: rtcal verify FOUND --simulated RUN."
+        )
+    elif v.models[1] not in v.runs:
+        how = "calibrated to half of the pairs by rtcal's tracer"
         which = (
             f"{v.models[1].capitalize()} and {v.models[2]} are the first and the second run, each "
-            "scaled to the measured T by the equation."
+            f"{how if at_pairs else 'scaled to the measured T by the equation'}."
         )
-    return f"{which} The size of the simulated effect comes from all data."
+    if not again:
+        return [which]
+    if v.contained is None:
+        return [which, "The size of the simulated effect comes from all data."]
+    return [which, f"The second run contains {v.contained.title}, which was chosen with all pairs."]
 
 
 def _of_time(v: Verification) -> str:
@@ -184,14 +205,16 @@ def _of_pairs(v: Verification) -> list[str]:
     seeds = v.gaps.shape[1]
     in_table = "; in the table, ± is the standard deviation over the seeds" * (seeds > 1)
     stated, plainly = mean_of_known(np.abs(v.gaps[:2]), (1, 2, 3, 4)).tolist()
+    first = "run" if v.runs else "model with its input coefficients"
     out = [
         f"This standard error is that over {len(v.places)} pairs and {seeds} "
-        f"seed{'s' * (seeds != 1)} of the simulator{in_table}. The model with its input "
-        f"coefficients deviates by {stated:.2f} JND."
+        f"seed{'s' * (seeds != 1)} of the simulator{in_table}. The {first} "
+        f"deviates by {stated:.2f} JND."
     ]
     if stated < plainly:
         out.append(
-            "The calibrated model deviates no less than the input model: do not simulate with it."
+            f"The calibrated model deviates no less than the {'run' if v.runs else 'input model'}: do "
+            "not simulate with it."
         )
     for half, what in zip(v.halves, v.added, strict=True):
         names = ", ".join(" to ".join(pair) for pair in half)
@@ -214,15 +237,21 @@ def gaps(v: Verification) -> Table:
         means = by_seed.mean(axis=1)
         if np.isfinite(means).all():
             both = zip(means, spread, strict=True)
-            cells = [f"{m:.2f}" if s is None else with_uncertainty(m, s, 2) for m, s in both]
+            exact = [s is None or s < _EXACT for s in spread]  # of a program's run, too
+            cells = [
+                f"{m:.2f}" if of_run else with_uncertainty(m, s, 2)
+                for (m, s), of_run in zip(both, exact, strict=True)
+            ]
             rows.append(Row(name, cells))
 
-    if v.counted.all():
+    by_pair = v.counted.all() or bool(v.halves)
+    if by_pair:
         for q, quantity in enumerate(v.quantities):
-            row(quantity, mean_of_known(sizes[:, :, q], 2))
+            matched = "" if v.counted[q].any() else " (matched)"
+            row(f"{quantity}{matched}", mean_of_known(sizes[:, :, q], 2))
     for p, place in enumerate(v.places):
-        if v.counted.all():
-            row(place, mean_of_known(sizes[:, :, :, p], 2))
+        if by_pair:
+            row(place, mean_of_known(np.where(v.counted, sizes, np.nan)[:, :, :, p], 2))
             continue
         for q, quantity in enumerate(v.quantities):
             used = "matched" if p == q == 0 else ""

@@ -562,20 +562,6 @@ def add_changed(
                     sums[hit_by, k] = 0.0
 
 
-@compiled(reorder=False)
-def lingering(energy: Array, factors: Array, out: Array) -> None:
-    """Write to ``out`` each bin's energy with what is left of the bins before it.
-
-    ``energy`` and ``out`` are (n, n_bins). Of the energy in row i, the share ``factors[i]`` is left
-    from one bin to the next.
-    """
-    for row in range(len(energy)):
-        left = 0.0
-        for place in range(energy.shape[1]):
-            left = energy[row, place] + factors[row] * left
-            out[row, place] = left
-
-
 @compiled(reorder=True)
 def weigh(
     x: Array,

@@ -737,6 +737,7 @@ def simulator_error(
     scattering_noise: Array,
     tracings: int,
     centre_frequencies: Array,
+    erring: int = 1,
 ) -> Array:
     """Return the covariance of the error of n values that are the mean of some tracings, (n, n).
 
@@ -745,7 +746,8 @@ def simulator_error(
     from the mean of their tracing. ``scattering`` (n_parameters, n_pairs, n_bands, n_materials) are
     derivatives by the log odds of each material's scattering coefficient, and ``scattering_noise``
     (n_groups, ...) their deviations in the groups. ``tracings`` is the number of tracings, and
-    ``centre_frequencies`` are in Hz.
+    ``centre_frequencies`` are in Hz. ``erring`` is how many rooms err as the reference simulations do:
+    the real one, and that of another program's run.
     """
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
@@ -777,7 +779,7 @@ def simulator_error(
     between = np.tile(between, 2 * [len(slope) // len(between)])
     # Parameters and bands share the paths, and the pairs of a source, too.
     in_all_bands = of_scattering(OF_MATERIAL**2 * np.eye(len(prior)))
-    of_runs = runs.with_common(COMMON**0.5).covariance()
+    of_runs = erring * runs.with_common(COMMON**0.5).covariance()
     of_runs = (1 - OWN) * of_runs + OWN * np.diag(np.diag(of_runs))
     return np.asarray(of_runs + of_paths + in_all_bands + of_scattering(prior) * between)
 
@@ -916,7 +918,10 @@ class PositionsProblem:
             np.moveaxis(of_groups, -2, 0),
             TRACINGS,
             frequencies,
+            1 if case.simulated is None else 2,
         )
+        if case.simulated is not None:
+            error[np.diag_indices_from(error)] += _of_run(case.simulated, wanted).ravel() ** 2
         self.simulator_error = reordered(error, stated.shape) * scales
         step = STEP * (1 - np.minimum(room.alpha, LARGEST_ALPHA).T)  # (n_bands, n_materials)
         by_alpha = shifted("materials") / step[:, np.newaxis]
@@ -957,6 +962,18 @@ class PositionsProblem:
 
         off = [of((scale**2 - 1) * common) for scale, _ in SCALES]
         return of(0.0), off, [of((scale - 1) * error) for scale in UNKNOWN_SCALES]
+
+
+def _of_run(run: Measurement, like: Observations) -> Array:
+    """Return the uncertainties that a run's table states, in the shape of ``like``; 0 without any."""
+    rows = [run.pairs.index(pair) for pair in like.pairs]
+    stated = np.zeros(like.values.shape)
+    for p, name in enumerate(like.parameters):
+        key = observable(name).key_in(run.values)
+        if key in run.uncertainty:
+            each = run.uncertainty[key][rows]
+            stated[p] = observable(name).of_observed(each, run.values[key][rows])
+    return np.nan_to_num(stated)
 
 
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:

@@ -8,6 +8,10 @@ often errs by more than is assumed, and the other pairs do not.
 One effect in one place is weighed against another: a hypothesis at positions has a place, and no sets
 are formed as on means (`rtcal.finder.means.problem`).
 
+With another program's run two rooms err as the reference simulations do: the real one, and that of the
+program. What then no effect explains, or what a second room or another scattering would, counts as the
+program's own, as it does on means (`rtcal.finder.claim.of_program`).
+
 Something that no effect explains is no rival of the effects: a room may lack both. Its larger error is
 weighed alone and beside every effect, and is as probable in both ways, so that "unknown" has what is
 left where no effect explains the measurement better than larger errors do. Taken as a rival only, it
@@ -34,11 +38,13 @@ from rtcal.finder.case import PARAMETERS, Case, Configuration, PositionsCase
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
+    FIELD,
     MOST,
     Candidate,
     Detection,
     Reason,
     conclude,
+    of_program,
     summed,
     with_added,
 )
@@ -146,23 +152,25 @@ def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual
     return np.concatenate([[none, together, alone], *spreads, shifts, beside])
 
 
-def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[float, float]:
+def scores(
+    posterior: Array, hypotheses: PositionsHypotheses, own: Sequence[str] = ()
+) -> tuple[float, float]:
     """Return the ln Bayes factors that something differs from the model, and that a pair is noisy.
 
     ``posterior`` are the log weights of the ``hypotheses`` after the measurement. The first factor is
-    against "nothing differs or a pair is noisy", the second against "nothing differs".
+    against "nothing differs, or a pair is noisy, or an effect of the groups ``own``", the second
+    against "nothing differs".
     """
-    none, noisy = posterior[0], np.array(hypotheses.by_row("effect")) == NOISE
-    other = ~noisy
-    other[0] = False
-    of_pair = np.logaddexp.reduce(posterior[noisy], initial=-np.inf)
-    of_noise = np.logaddexp.reduce(hypotheses.log_prior[noisy], initial=-np.inf)
-    prior = np.logaddexp(none, of_noise)  # of nothing
+    noisy = np.array(hypotheses.by_row("effect")) == NOISE
+    nothing_else = np.isin(hypotheses.by_row("family"), [NONE, *own])
+    other = ~(noisy | nothing_else)
+    prior = np.logaddexp.reduce(hypotheses.log_prior[~other])  # of nothing
     score = 0.0
     if prior < -_TINY:
-        nothing = np.logaddexp(none, of_pair)
+        nothing = np.logaddexp.reduce(posterior[~other])
         score = logsumexp(posterior[other]) - nothing - np.log1p(-np.exp(prior)) + prior
-    return float(score), float(of_pair - none)
+    of_pair = np.logaddexp.reduce(posterior[noisy], initial=-np.inf)
+    return float(score), float(of_pair - posterior[0])
 
 
 def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TEMPER) -> Array:
@@ -203,9 +211,8 @@ THRESHOLD = 2.5
 exceeds it without level, and 1 with it."""
 
 
-OF_PROGRAMS = 13.0
-"""The same where another program's values are compared, which errs in ways that reference simulations
-do not show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
+OWN = (FIELD, UNKNOWN)
+"""Groups of effects that count as the own error of a program whose run is compared."""
 
 
 def evidence_of_means(
@@ -460,7 +467,7 @@ def find_by_positions(
         reported = progress and partial(progress, "reference simulations")
         controls = controls_of(case, seed, cache, reported, scheduler)
     made = responses_of(case, seed, cache, progress, scheduler)
-    threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
+    threshold, own_groups = THRESHOLD, () if case.simulated is None else OWN
 
     def searched(case: PositionsCase) -> _Search:
         numbers = PositionsProblem(case, made, controls)
@@ -468,7 +475,7 @@ def find_by_positions(
 
     search = searched(case)
     evidence = search.evidence()
-    score, noise = scores(weights(evidence, search.hypotheses), search.hypotheses)
+    score, noise = scores(weights(evidence, search.hypotheses), search.hypotheses, own_groups)
     # A gain or a lobe that is off may pass for the noise of a pair, which is no evidence by itself.
     disagree = max(score, noise) > threshold
     of_gain = -np.inf
@@ -500,7 +507,7 @@ def find_by_positions(
             evidence = lobes
         else:
             evidence = log_mixture(evidence, lobes, AIMED)
-    score, noise = scores(weights(evidence, search.hypotheses), search.hypotheses)
+    score, noise = scores(weights(evidence, search.hypotheses), search.hypotheses, own_groups)
     detected = Detection(
         score=score,
         threshold=threshold,
@@ -563,9 +570,10 @@ def _finding(
     known = dict(summary.probabilities)
     if known.get(UNKNOWN, 0.0) < MOST * (1 - known[NONE]):
         known.pop(UNKNOWN, None)
-    claim = conclude(detected.verdict, known, summary.families, in_families)
+    weak = None if case.simulated is None else of_program(summary.families)
+    claim = conclude(detected.verdict, known, summary.families, in_families, weak=weak)
     is_claimed = claim.verdict in ("named", "family", "ambiguous")
-    reasons: tuple[Reason, ...] = ()
+    reasons = claim.reasons
     if is_claimed and case.simulator.unknown_sources:
         reasons = (Reason("directivity unknown"),)
     elif is_claimed and (best := summary.candidates[0]).surface and best.effect == COUPLED.name:

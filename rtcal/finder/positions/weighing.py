@@ -121,7 +121,7 @@ class Aperture:
         and ``bin_width`` is in s. ``rate`` (n_bands,) is the `decay_rate` of ``energy`` in 1/s; None if
         it must be computed. The result has more bins if the second room decays more slowly.
         """
-        from rtcal.simulators import kernels
+        from scipy.signal import lfilter
 
         first = decay_rate(energy, bin_width) if rate is None else rate
         second = self.second_rate(room)
@@ -144,13 +144,13 @@ class Aperture:
         reverberant = decays.copy()
         reverberant[..., 0] = 0.0  # the second room takes no direct sound
         mean = reverberant.mean(axis=1)
-        both = np.empty((2, *mean.shape))
-        for rates, left in zip((slow, fast), both, strict=True):
-            factors = np.tile(np.exp(-rates * bin_width), n_sources)
-            rows = (-1, mean.shape[-1])
-            kernels.lingering(mean.reshape(rows), factors, left.reshape(rows))
-        more = (exchange * bin_width)[:, np.newaxis] * (both[0] - both[1])
-        back = more / (fast - slow)[:, np.newaxis]
+        back = np.empty_like(mean)
+        for k, (of_slow, of_fast) in enumerate(zip(slow, fast, strict=True)):
+            both = [
+                lfilter([1.0], [1.0, -np.exp(-rate * bin_width)], mean[:, k])
+                for rate in (of_slow, of_fast)
+            ]
+            back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (of_fast - of_slow)
         return np.asarray((decays + back[:, np.newaxis]).reshape(-1, *decays.shape[2:]))
 
 
