@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
@@ -201,6 +203,29 @@ def test_the_order_of_materials_changes_and_bands_moves_nothing(named: bool) -> 
         ]
     )
     assert alone.mean == pytest.approx(one.mean[1:2], rel=0.01)  # T without an uncertainty
+
+
+@pytest.mark.parametrize("seed", [6, *also(3, 7)])
+def test_a_material_in_parts_that_err_alike_is_one(seed: int) -> None:
+    """The errors of the equation with its parts were independent: T fell by 2 %, the width by 9 %."""
+    whole = a_room(seed, named=False)
+    whole = whole.replace(alpha=np.full((3, 3), 0.08), sigma=np.full((3, 3), 0.024))
+    rows, split = [0, 1, 2, 2, 2, 2], ["three", "four", "five", "six"]
+    parts = whole.replace(
+        materials=["one", "two", *split],
+        areas=whole.areas[rows] * [1, 1, *[1 / 4] * 4],
+        alpha=whole.alpha[rows],
+        sigma=whole.sigma[rows],
+        material_correlation=dict.fromkeys(combinations(split, 2), 1 - 1e-07),
+    )
+    one, other = (
+        rt.calibrate(room, measured_in(whole, seed)).predict(
+            Change(cover="one", by=PANEL, area=0.8 * whole.areas[0])
+        )
+        for room in (whole, parts)
+    )
+    assert other.mean == pytest.approx(one.mean, rel=0.008)
+    assert other.half_width == pytest.approx(one.half_width, rel=0.03)
 
 
 def test_the_change_is_the_equations_where_all_is_known(result) -> None:

@@ -319,7 +319,13 @@ class TimeChange:
         bounds = room.least_alpha[rows], room.most_alpha[rows]
         quantiles = normal_quantiles(room.alpha[rows], self._sigma_of_new, *bounds)
         alpha, factor = _draws(
-            names, room.alpha[rows], quantiles, errors, self.assumptions, np.eye(len(rows)), DRAWS
+            names,
+            room.alpha[rows],
+            quantiles,
+            errors,
+            self.assumptions,
+            (np.eye(len(rows)), np.eye(len(rows))),
+            DRAWS,
         )
         return replace(
             before,
@@ -560,24 +566,32 @@ def _draws(
     quantiles: Array,
     area_errors: Array,
     assumptions: Assumptions,
-    root: Array,
+    roots: tuple[Array, Array],
     number: int,
 ) -> tuple[Array, Array]:
     """Return draws of materials' alpha and ln f, (n_bands, n, n_draws) each.
 
-    ``alpha`` is (n, n_bands) and ``root`` that of the materials' correlation. The sigma of ln f is the
-    equation's and the area's.
+    ``alpha`` is (n, n_bands) and ``roots`` are those of the materials' correlations in alpha and ln f.
+    The sigma of ln f is the equation's and the area's.
     """
     own, factors = (
-        np.array([normal_of(f"{what} of {name}", number) for name in names])
-        for what in ("alpha", "factor")
+        root @ np.array([normal_of(f"{what} of {name}", number) for name in names])
+        for what, root in zip(("alpha", "factor"), roots, strict=True)
     )
-    own, out = root @ own, np.empty((alpha.shape[1], *own.shape))
+    out = np.empty((alpha.shape[1], *own.shape))
     for k, i in np.ndindex(out.shape[:2]):
         out[k, i] = np.interp(own[i], NORMAL, quantiles[i, k])
     least = assumptions.least / np.maximum(alpha, max(assumptions.least, _LEAST))
     sigma = np.sqrt(assumptions.factor**2 + least**2 + area_errors[:, np.newaxis] ** 2)
     return out, sigma.T[:, :, np.newaxis] * factors
+
+
+def _stated_root(known: KnownRoom) -> Array:
+    """Return a root of the correlation of materials that the room's states give."""
+    rooms = _rooms(known)
+    if not any(room.material_correlation for room in rooms):
+        return np.eye(len(known.materials))
+    return symmetric_root(between_materials(known.materials, rooms))
 
 
 def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
@@ -594,7 +608,8 @@ def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unkno
         known.quantiles[:, here],
         _area_errors(_rooms(known), known.materials, assumptions),
         assumptions,
-        symmetric_root(known.correlation[band]),
+        # What errs alike errs alike in the equation: a material in two parts is one.
+        (symmetric_root(known.correlation[band]), _stated_root(known)),
         number,
     )
     # u is normal, cut to 0 to 2.
