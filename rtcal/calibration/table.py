@@ -302,7 +302,7 @@ def _shares_in_words(record: Mapping[str, Any]) -> str:
     shares, said = shares[seen] / shares[seen].sum(axis=0), []
     means = whole_percents(shares.mean(axis=1, keepdims=True))[:, 0]
     names = [one["name"] for one, of in zip(record["absorption_share"], seen, strict=True) if of]
-    for name, mean, of in zip(names, means, whole_percents(shares), strict=True):
+    for name, mean, of in zip(names, means, 100 * shares, strict=True):
         ends = dict.fromkeys([f"{of.min():.0f}", f"{of.max():.0f}"])
         said.append(f"{name} {mean:.0f} % ({' to '.join(ends)})")
     return f"{SHARE}, mean over the bands (range): {', '.join(said)}."
