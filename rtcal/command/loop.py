@@ -112,7 +112,7 @@ def start(
     said = f"With the coefficients in {out}, {who} the measured "
     lines = [
         *text.wrapped(f"{said}{begun.matched.label if weights else begun.matched.time_label}."),
-        *(f"{band}; the coefficients with the nearest T are taken." for band in unreachable),
+        *(f"{band}. The coefficients with the nearest T are used." for band in unreachable),
         *first,
         *(
             line

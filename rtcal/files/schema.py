@@ -349,7 +349,7 @@ _NEEDED = {RESULT: MADE, RESPONSE: "Give a sound file (WAV, FLAC) or a SOFA file
 """What to give where a kind is needed; for the others it follows from the file that was given."""
 _EXAMPLE = dict.fromkeys(
     ("a file of variants", "a file of treatments"), "`rtcal example change` writes such a file"
-)
+) | {"a case": "`rtcal find` also takes a room, followed by its measurement"}
 _NO_TABLE = re.compile(r"\s*(?:\[|\{|[\w.\"-]+\s*=)")
 _MOST_OF_A_FILE = 2**25
 
@@ -391,7 +391,7 @@ def expecting(kind: str, path: str | os.PathLike[str]) -> Iterator[None]:
     except DataError as error:
         found = kind_of(place)
         if found not in ("", kind):
-            needless = _HINTS[found] == _FIRST and kind not in (ROOM, TABLE, "a case")
+            needless = _HINTS[found] == _FIRST and kind not in (ROOM, TABLE)
             hint = _NEEDED.get(kind, _EXAMPLE.get(kind, "") if needless else _HINTS[found])
             hint = f". {hint.format(place)}" if hint else ""
             other = OtherKindError(f"{place} is {found}, but {kind} is needed here{hint}")

@@ -758,8 +758,8 @@ def _in_new_bands(
     missing = [f for f in needed if f not in obtainable]
     if missing and (missing_bands == "refuse" or not obtainable.size):
         raise DataError(
-            f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room "
-            "does not have; write into an existing file of the program (template), or use "
+            f"{path}: a new list of this program needs {bands.label(missing[0])}, which "
+            "the room does not have. Write into an existing list instead, or use "
             'missing_bands="nearest"'
         )
     converted = room.in_bands(obtainable)
