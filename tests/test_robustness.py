@@ -132,7 +132,10 @@ HARD_TO_SEE = [
     (lambda: room(areas=HIDDEN), "areas is a masked array with masked entries"),
     (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with masked entries"),
     (lambda: study(workers=1.5), "workers = 1.5 must be a whole number of at least 1"),
-    (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "'a' is not a pair of mat"),
+    (
+        lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}),
+        "a pair of materials, but one is 'a'",
+    ),
     (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain must be'),
     (
         lambda: rt.terms.GroupAbsorption("floor", 1),

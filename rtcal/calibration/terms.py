@@ -352,7 +352,9 @@ def _pairs(stated: Any) -> tuple[Any, ...]:
         pairs = tuple(checks.mapped("material_correlation", pairs).items())
     for pair, r in pairs:
         if not (isinstance(pair, tuple) and len(pair) == 2):
-            raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+            raise DataError(
+                f"material_correlation: each key must be a pair of materials, but one is {pair!r}"
+            )
         checks.number(f"material_correlation of {pair}", r)
     return pairs
 
@@ -371,7 +373,10 @@ def _root_of_materials(pairs: tuple[Any, ...], layout: Layout) -> Array:
     try:
         return np.asarray(np.linalg.cholesky(correlation))
     except np.linalg.LinAlgError as error:
-        raise ModelError("material_correlation is not positive definite") from error
+        raise ModelError(
+            "material_correlation is not positive definite: its values contradict each "
+            "other; make the correlations smaller"
+        ) from error
 
 
 @functools.lru_cache(maxsize=16)

@@ -133,8 +133,8 @@ def load(path: str | os.PathLike[str]) -> Any:
         kind, itself = record.get("rtcal"), record.get(_OBJECT)
         if not isinstance(kind, str) or not isinstance(itself, dict):
             raise DataError(
-                f'this is not a result that rtcal saved: "rtcal" and "{_OBJECT}" are '
-                "missing; calculate the result again"
+                f'this is not a result that rtcal saved, because "rtcal" and "{_OBJECT}" '
+                "are missing. Calculate the result again"
             )
         if "not_saved" in itself:
             raise DataError(
@@ -145,12 +145,15 @@ def load(path: str | os.PathLike[str]) -> Any:
             other = version not in (None, __version__)
             by = f"rtcal {checks.shown(version)}" if other else "an earlier state of rtcal"
             raise DataError(
-                f'"{kind}" of {by}, which rtcal {__version__} does not read: calculate the result '
-                "again from its data"
+                f'this result ("{kind}") was saved by {by}, and rtcal {__version__} cannot '
+                "read it. Calculate it again from its data"
             )
         result = restored(itself["objects"], place.parent)
         if not isinstance(result, Result) or result.record_kind != kind:
-            raise DataError(f'its "{_OBJECT}" is not of the kind {checks.shown(kind)}')
+            raise DataError(
+                f'the file is damaged: its "{_OBJECT}" is not of the kind '
+                f"{checks.shown(kind)}. Calculate the result again"
+            )
         return result
 
 

@@ -181,7 +181,8 @@ class MeasuredModes:
             own = checks.shaped("calculated", self.calculated, n)
             if len(np.unique(own)) < n or not ((own >= 0) & (own % 1 == 0) & (own < 2**31)).all():
                 raise DataError(
-                    f"calculated must list {n} distinct whole numbers >= 0, one for each measured mode"
+                    f"calculated must have {n} different whole numbers of 0 or more, one "
+                    "for each measured mode"
                 )
             put("calculated", own.astype(int))
 
