@@ -533,7 +533,7 @@ def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
         verify(absorber, simulated=run("edt", "c80"))
     first = absorber.case.configurations[0].simulated
     assert first is not None
-    with pytest.raises(DataError, match="this is the first simulation again"):
+    with pytest.raises(DataError, match="simulated is the same simulation as that of the search"):
         verify(absorber, simulated=first.simulated)
 
 

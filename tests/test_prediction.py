@@ -663,7 +663,7 @@ def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, capsys)
     np.testing.assert_allclose(first.mean, 0.6 * before, rtol=2e-3)  # of a file's digits
     assert second.simulated is None
     command.remove(files[1])
-    assert "add MEASURED" in " ".join(called("--simulated", files[3])[2].split())
+    assert "Add MEASURED" in " ".join(called("--simulated", files[3])[2].split())
     command.insert(2, files[1])
     (tmp_path / "variants.toml").write_text(variants.replace('simulated = "after.csv"\n', ""))
     assert "no variant has simulated" in " ".join(called("--simulated", files[3])[2].split())

@@ -147,7 +147,7 @@ def test_each_half_of_the_pairs_predicts_the_other(panels: Finding, many: Findin
     assert verification.gaps.shape == (2, 1, 1, 6, 6)
     case = panels.case
     few = rt.find(case.room, case.after.select(case.after.pairs[:2]), before=case.before)
-    with pytest.raises(rt.errors.DataError, match="4 are needed"):
+    with pytest.raises(rt.errors.DataError, match="a verification needs at least 4"):
         rt.finder.verify(few)
     same = rt.find(case.room, measured(times(), 9), before=case.before)
     with pytest.raises(rt.errors.DataError, match="no change was found that can be verified"):

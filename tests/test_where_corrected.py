@@ -199,7 +199,7 @@ def test_every_simulator_has_the_corrections_t(box: PositionsCase) -> None:
     places = {"sources": SOURCES, "receivers": RECEIVERS}
     image = ImageSource(room=box.room, **places, duration=1.5)
     falls(image, ImageSource(room=wall.room, **places, duration=1.5), wall.room)
-    with pytest.raises(DataError, match="states no dimensions"):
+    with pytest.raises(DataError, match="has no dimensions"):
         ImageSource(room=patch.room, **places, duration=1.5)
 
 
