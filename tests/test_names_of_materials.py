@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rtcal.datasets import catalogue
+from rtcal.support.errors import DataError
 
 WOOD = "wood_1.6cm wood_16mm stage_floor"
 BRICK = "brickwork smooth_brickwork_flush_pointing brick_wall_rough"
@@ -68,6 +69,46 @@ def test_a_name_that_shares_letters_alone_finds_nothing(name: str) -> None:
     assert catalogue.similar(name) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "entry"),
+    [
+        ("Holzboden", "wood_1.6cm"),
+        ("Laminat", "wood_1.6cm"),
+        ("Betondecke", "unpainted_concrete"),
+        ("white wall", "hard_surface"),
+        ("red carpet", "carpet_thin"),
+        ("Carpet Thin", "carpet_thin"),
+        ("open window", "open_window"),
+        ("offenes Fenster", "open_window"),
+    ],
+)
+def test_a_name_of_any_form_means_its_entry(name: str, entry: str) -> None:
+    assert catalogue.found(name)[0] == entry
+    if entry == "open_window":
+        assert catalogue.material(entry, [125, 1000]).alpha == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("blue paint", "a finish or a form does not state what has it. The nearest names are"),
+        ("blackboard", "The nearest names are wooden_lining, hard_surface, glass_3mm"),
+        ("bookshelf", "pieces (`rtcal room --object`): filing cabinet"),
+        ("Sofa", "pieces (`rtcal room --object`): upholstered chair, theatre seat"),
+    ],
+)
+def test_what_has_no_entry_is_refused_with_the_nearest_names(name: str, words: str) -> None:
+    with pytest.raises(DataError, match=re.escape(words)):
+        catalogue.found(name)
+
+
+def test_things_without_an_entry_name_entries() -> None:
+    path = Path(catalogue.__file__).with_name("material_names.toml")
+    near = tomllib.loads(path.read_text(encoding="utf-8"))["near"]
+    every = {*catalogue.names(), *catalogue.pieces()}
+    assert {n.strip() for each in near.values() for n in each.split(",")} <= every
+
+
 def test_the_names_are_thirty_and_their_entries_are_in_the_catalogue() -> None:
     assert len(WANTED) == 30
     entries = {entry for each in WANTED.values() for entry in each.split()}
@@ -86,7 +127,9 @@ def test_a_stated_name_means_one_entry_of_the_catalogue() -> None:
 def test_every_entry_has_a_source_a_mounting_and_a_sigma() -> None:
     for listed in catalogue.material_list().materials:
         entry = catalogue.material(listed.name, listed.centre_frequencies)
-        assert "Vorländer 2008" in entry.source
+        assert (
+            "Sabine (1900)" if listed.name == "open_window" else "Vorländer 2008"
+        ) in entry.source
         assert re.search(r"; mounting: \w", entry.source)
         assert np.min(entry.sigma) >= 0.01
     path = Path(catalogue.__file__).with_name("material_names.toml")

@@ -327,6 +327,31 @@ def test_pieces_have_the_bands_of_their_values() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "piece"),
+    [
+        ("person", "person in a group"),
+        ("chair", "wooden chair"),
+        ("Stuhl", "wooden chair"),
+        ("Sessel", "upholstered chair"),
+        ("Person Standing", "person standing"),
+    ],
+)
+def test_an_option_finds_what_the_list_finds(
+    name: str, piece: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    box = ["room", "--dimensions", "9,7,3", "--floor", "0.1", "--ceiling", "0.1", "--walls", "0.1"]
+    path = tmp_path / "room.toml"
+    assert run(*box, "--object", f"{name}=30", "--out", path) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"For {name} the catalogue's {piece} was taken" in said
+    made = Room.from_file(str(path))
+    assert made.pieces == (name,)
+    assert made.alpha[-1].tolist() == catalogue.piece(piece, 1, OCTAVES).area_per_piece
+    assert run("materials", name) == 0
+    assert piece in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
     ("said", "first"),
     [
         ("people", "person in a group"),
@@ -391,7 +416,7 @@ def test_a_box_has_the_pieces_of_its_options(
     one = [rows_of(name).mean(axis=0).round(4) for name in made.pieces]
     assert added == pytest.approx(30 * one[0] + 2 * one[1])
     for wrong, words in (
-        ("sofa=2", "not among the pieces"),
+        ("sofa=2", 'no piece like "sofa". The nearest names are upholstered chair, theatre seat'),
         ("wooden chair", "must have the form NAME=NUMBER"),
         ("wooden chair=0", 'wooden chair" = 0 must'),
     ):

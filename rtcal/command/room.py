@@ -22,7 +22,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.room import Room
+    from rtcal.acoustics.room import Piece, Room
     from rtcal.io.material_list import ListedMaterial
 
 _WALLS = ("west", "east", "south", "north")
@@ -30,13 +30,11 @@ _WALL = "WALL=MATERIAL"
 _PIECE = "WALL=M2:MATERIAL"
 _OBJECT = "NAME=NUMBER"
 _STATED = "stated with the room"
-_OTHERS = 3
 _OF_PIECES = (
     "m² of one piece, and its sigma, in the same bands: the standard deviation between the values that "
     "are named, or that of all pieces if it is larger"
 )
 _COPIES = "The values are from copies of these tables, not from the works themselves:"
-"""Largest number of other entries of the catalogue that are named beside the one that was taken."""
 
 
 @click.command(short_help="A box without a file: its sides and materials to a room.")
@@ -163,7 +161,6 @@ def _made(
     """Return the room, and the notes on what was taken and assumed."""
     from rtcal.acoustics.priors import SigmaRule
     from rtcal.acoustics.room import with_patches
-    from rtcal.datasets import catalogue
     from rtcal.io.material_list import MaterialList
     from rtcal.io.text import Text
     from rtcal.simulators.geometry import Polyhedron
@@ -203,7 +200,7 @@ def _made(
         air=stated_air(temperature, humidity),
     )
     counted = console.numbers("--object", objects, _OBJECT)
-    free = [catalogue.piece(each, n, materials.bands) for each, n in counted.items()]
+    free = [materials.piece(each, n) for each, n in counted.items()]
     if free:
         for piece in free:
             checks.positive(f'--object "{piece.name}"', piece.number)
@@ -277,18 +274,31 @@ class _Materials:
         from rtcal.datasets import catalogue
 
         entries = {m.name: m for m in catalogue.material_list().materials}
-        if name in entries:
-            return entries[name]
-        near = catalogue.similar(name, 1 + _OTHERS)
-        if not near:
+        try:
+            near = catalogue.found(name)
+        except DataError as error:
             raise DataError(
-                f'{place}: the catalogue has no material like "{shown(name)}". Give '
-                'another name, or alpha by band instead, such as "0.1 0.2 0.3 0.3 0.4 '
-                '0.4"'
-            )
+                f"{place}: {error}. Give another name, or alpha by band instead, such as "
+                '"0.1 0.2 0.3 0.3 0.4 0.4"'
+            ) from error
+        if len(near) == 1 and near[0] == name:
+            return entries[name]
         others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
         self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")
         return replace(entries[near[0]], name=name)
+
+    def piece(self, name: str, number: float) -> Piece:
+        """Return pieces by what people call them; DataError for a name that is like none."""
+        from rtcal.datasets import catalogue
+
+        try:
+            near = catalogue.found(name, catalogue.pieces())
+        except DataError as error:
+            raise DataError(f"--object: {error}; `rtcal materials` lists all pieces") from error
+        if near[0] != name:
+            others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
+            self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")
+        return replace(catalogue.piece(near[0], number, self.bands), name=name)
 
 
 @click.command(short_help="The catalogue of materials and pieces, with their sources.")

@@ -25,7 +25,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.priors import SigmaRule, sigma_iso_12999_2
 from rtcal.acoustics.room import Material, Piece
 from rtcal.io import pyroomacoustics
-from rtcal.io.material_list import MaterialList
+from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -39,6 +39,17 @@ _RENAMED = {"gypsum_board": "gypsum_board_perforated"}
 a plain board is ``plasterboard``."""
 _PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board"}
 """Words that say where a material is, and of which form, rather than which it is."""
+_GERMAN = ("boden", "decke", "wand", "wände", "fenster", "tür", "türen", "vorhang")
+"""Ends of German compounds, whose first part is the material."""
+_COLOURS = {
+    *("blue", "red", "white", "black", "green", "yellow", "grey", "gray", "brown", "blau", "rot"),
+    *("weiß", "weiss", "weiße", "weisse", "schwarz", "grün", "gelb", "grau", "braun"),
+}
+"""Words without meaning for sound."""
+_FINISHES = {"painted", "smooth", "rough", "open", "thin", "thick", "soft", "hard", "perforated"}
+"""Words of a finish or a form, which state no material alone."""
+_OTHERS = 3
+"""Largest number of other entries that are named beside the one that was taken."""
 _PEOPLE = {"audience", "chairs", "orchestra"}
 _OF_THE_THING = 2.0
 """Weight of the word that names the thing, over that of others."""
@@ -61,11 +72,17 @@ def names() -> dict[str, str]:
             "the catalogue needs pyroomacoustics: pip install 'rtcal[geometry]'"
         ) from error
     groups = json.loads(text)["absorption"].values()
-    return {
+    table = {
         _RENAMED.get(name, name): str(entry["description"])
         for group in groups
         for name, entry in group.items()
     }
+    return {**table, OPENING: "Open window, door or hole: sound that leaves does not return"}
+
+
+OPENING = "open_window"
+"""Entry that is not of the table."""
+_OF_OPENING = "alpha = 1 by definition, the unit of W. C. Sabine (1900)"
 
 
 def material(
@@ -239,18 +256,76 @@ def material_list() -> MaterialList:
     descriptions, mounted = names(), _mounting()
     with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
         listed = pyroomacoustics.read(path)
-    return replace(
-        listed,
-        path="the catalogue",
-        materials=tuple(
-            replace(
-                m,
-                name=(name := _RENAMED.get(m.name, m.name)),
-                source=f"{origin()}: {descriptions[name]}; mounting: {mounted.get(name, 'not stated')}",
-            )
-            for m in listed.materials
-        ),
+    of_table = [
+        replace(
+            m,
+            name=(name := _RENAMED.get(m.name, m.name)),
+            source=f"{origin()}: {descriptions[name]}; mounting: {mounted.get(name, 'not stated')}",
+        )
+        for m in listed.materials
+    ]
+    opening = ListedMaterial(
+        name=OPENING,
+        line=0,
+        alpha=(1.0,) * len(_OCTAVES),
+        centre_frequencies=_OCTAVES,
+        spans=(),
+        source=f"{descriptions[OPENING]} ({_OF_OPENING}); mounting: {mounted[OPENING]}",
     )
+    return replace(listed, path="the catalogue", materials=(*of_table, opening))
+
+
+def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
+    """Return the entry that a name means, followed by other entries that resemble the name.
+
+    ``among`` are `pieces`; None means the materials. Only the entry is returned if the name is its own.
+    Raises DataError, with the nearest names, for a name that means no entry, and for one that states a
+    finish or a form alone, such as "blue paint".
+
+    Examples
+    --------
+    >>> found("Wooden Chair", pieces()), found("Holzboden")[0]
+    (['wooden chair'], 'wood_1.6cm')
+    """
+    described = names() if among is None else among
+    own = next((n for n in described if _plainly(n) == _plainly(name)), None)
+    if own is not None:
+        return [own]
+    near = similar(name, 1 + _OTHERS, among)
+    words = _words(name)
+    bare = near and words & _FINISHES and words - _PLACES <= _FINISHES
+    bare = bare and not (among is None and words in _called("names"))
+    if near and not bare:
+        return near
+    kind, option, other = "material", "its other names are pieces (`rtcal room --object`)", pieces()
+    if among is not None:
+        kind, option, other = "piece", "its other names are materials of surfaces", names()
+    said = f'the catalogue has no {kind} like "{shortened(name, 60)}"'
+    said += ": a finish or a form does not state what has it" if bare else ""
+    meant = _in_meaning(name)
+    near = near or [n for n in meant if n in described] or _in_letters(name, described)
+    said += f". The nearest names are {', '.join(near)}" if near else ""
+    if beyond := [n for n in meant if n in other]:
+        said += f"; {option}: {', '.join(beyond)}"
+    raise DataError(said)
+
+
+def _plainly(name: str) -> str:
+    return re.sub(r"[\W_]+", " ", name.lower()).strip()
+
+
+def _in_meaning(name: str) -> list[str]:
+    """Return the entries that ``material_names.toml`` has beside things of which there is no entry."""
+    stated, asked = _stated()["near"].items(), {*_in_order(name)}
+    return [
+        n.strip() for things, near in stated if asked & {*things.split()} for n in near.split(",")
+    ]
+
+
+def _in_letters(name: str, described: Mapping[str, str]) -> list[str]:
+    """Return entries whose names have most letters of a name in common."""
+    plain = {_plainly(n): n for n in described}
+    return [plain[n] for n in difflib.get_close_matches(_plainly(name), plain, _OTHERS, 0.5)]
 
 
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
@@ -267,7 +342,9 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
     (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
-    described, called = (names(), _called()) if among is None else (among, {})
+    described, called = (names(), _called("names")) if among is None else (among, {})
+    if among is not None and among.keys() == pieces().keys():
+        called = _called("pieces")
     asked = _words(name)
     (*_, thing) = "", *_in_order(name)  # the last word: a stage curtain is a curtain
     of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
@@ -315,9 +392,9 @@ def _stated() -> dict[str, dict[str, str]]:
 
 
 @cache
-def _called() -> dict[frozenset[str], str]:
-    """Return the entry that people mean by the words of a name."""
-    stated = _stated()["names"].items()
+def _called(table: str) -> dict[frozenset[str], str]:
+    """Return the entry that people mean by the words of a name, of a table of the file."""
+    stated = _stated()[table].items()
     return {_words(name): entry for entry, each in stated for name in each.split(",")}
 
 
@@ -337,8 +414,20 @@ def _catalogue_words() -> dict[str, str]:
 
 def _in_order(text: str) -> list[str]:
     """Return the words of a name in their order, each as the catalogue has it."""
+    known = _catalogue_words()
     words = re.findall(r"[^\W\d_]{3,}", text.lower())
-    return [_catalogue_words().get(word, word) for word in words]
+    apart = [part for word in words for part in ([word] if word in known else _parts(word))]
+    return [known.get(word, word) for word in apart if word not in _COLOURS]
+
+
+def _parts(word: str) -> list[str]:
+    """Return the two parts of a German compound that ends in a place, such as Holzboden; else the word.
+
+    >>> _parts("holzboden"), _parts("betondecke"), _parts("steel")
+    (['holz', 'boden'], ['beton', 'decke'], ['steel'])
+    """
+    end = next((e for e in _GERMAN if word.endswith(e) and len(word) > len(e) + 2), None)
+    return [word] if end is None else [word.removesuffix(end), end]
 
 
 def _words(text: str) -> frozenset[str]:
