@@ -68,7 +68,7 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
     assert kinds(uncertainty=np.array([np.nan, 0.061, 0.049, 1])) == base | {("uncertain", 500)}
     odd = trust_marks(room, **{**quiet, "uncertainty": np.array([0.1, 1.0, 0.1, np.nan])})
     uncertain = {m.frequency: m.text for m in odd if m.kind == "uncertain"}
-    assert "is it in percent, not s?" in uncertain[500]  # 1 for 1 %
+    assert "check that the uncertainty is in s, not in percent" in uncertain[500]  # 1 for 1 %
     assert uncertain[63] == uncertain[4000] == "T is uncertain by more than one JND"
     assert kinds(air_share=np.array([0, 0.49, 0.51, 0.2])) == base | {("air", 4000)}
     active = np.array([[0, -1, 0, 0], [0, 0, 1, 0]])

@@ -333,7 +333,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     "directions_unknown": ("", NOT_KNOWN),
     "wide_sigma": (
         "",
-        "any T agrees with so large a sigma: is it relative to alpha, or in percent?",
+        "any T agrees with so large a sigma: check that sigma is neither relative to "
+        "alpha nor in percent",
     ),
 }
 
@@ -818,7 +819,11 @@ def trust_marks(
             add("air", f, "the air absorbs more than the surfaces")
         if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
             over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
-            add("uncertain", f, f"T is uncertain by over {over}: is it in percent, not s?")
+            add(
+                "uncertain",
+                f,
+                f"T is uncertain by over {over}: check that the uncertainty is in s, not in percent",
+            )
         elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > LARGE_Z:
             add("uncertain", f, "T is uncertain by more than one JND")
         # A single coefficient at 1 says nothing of the others, which may still give the T.
