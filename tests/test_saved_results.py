@@ -147,8 +147,8 @@ OTHER_FILES = [
     (NUMBERS, "{}", "not a result that rtcal saved"),
     (NUMBERS, "[", "not valid JSON"),
     (NUMBERS, "[1]", "must hold one JSON object"),
-    (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*calculate"),
-    (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*calculate"),
+    (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*Calculate"),
+    (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*Calculate"),
     ("x.json", "[" * 100_000, "the JSON cannot be read"),
     (
         "a.csv",
