@@ -272,7 +272,7 @@ def test_clf_s_text_that_says_too_little_is_refused(tmp_path, change, said):
         (lambda: Directivity(index=3, aim=(0, 0, 0)), "aim"),
         (
             lambda: Directivity(aim=(1, 0, 0)),
-            "exactly one of index, gains and file; this one has 0",
+            "exactly one of index, gains and file; this one has none",
         ),
         (lambda: Directivity(gains=[[[1]]], aim=(1, 0, 0)), "gains has shape"),
         (lambda: Directivity(gains=-np.ones((1, 7, 4)), aim=(1, 0, 0)), "gains[0, 0, 0] = -1"),

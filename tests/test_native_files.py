@@ -246,7 +246,7 @@ BROKEN: dict[str, list[tuple[str, str, str]]] = {
         (
             "index = [0, 3, 6], ",
             "",
-            "exactly one of index, gains and file; this one has 0",
+            "exactly one of index, gains and file; this one has none",
         ),
         ("[0, 3, 6]", "99", 'directivity["S"].index[0] = 99 dB must be from 0 to 25 dB'),
         ("aim = [1, 0, 0]", "aim = [0, 0, 0]", 'directivity["S"].aim = '),

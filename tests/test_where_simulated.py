@@ -107,11 +107,9 @@ def test_a_second_run_is_compared_at_pairs(finding: rt.finder.Finding, folder: P
     assert not given.counted[0].any()
     assert given.counted[1:].all()
     np.testing.assert_allclose(given.gaps[1], given.gaps[0])
-    with pytest.raises(DataError, match="this is the first simulation again"):
+    with pytest.raises(DataError, match="simulated is the same simulation as that of the search"):
         verify(found, simulated=finding.case.simulated, **chosen)
-    with pytest.raises(
-        DataError, match="calibrated is compared with a simulation of the corrected"
-    ):
+    with pytest.raises(DataError, match="calibrated is given without simulated"):
         verify(found, calibrated=second)
     with pytest.raises(DataError, match="effect says what a second run contains"):
         verify(found, effect="opening")

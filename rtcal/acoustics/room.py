@@ -304,7 +304,8 @@ class Directivity:
         stated = sum(each is not None for each in (self.index, self.gains, self.file))
         if stated != 1:
             raise DataError(
-                f"a directivity must have exactly one of index, gains and file; this one has {stated}"
+                "a directivity must have exactly one of index, gains and file; this one "
+                f"has {stated or 'none'}"
             )
         object.__setattr__(self, "aim", direction("aim", self.aim))
         object.__setattr__(self, "up", direction("up", self.up))

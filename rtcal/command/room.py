@@ -306,7 +306,8 @@ class _Materials:
 def materials(names: tuple[str, ...]) -> None:
     """List the catalogue's materials and pieces, or those that resemble each NAME, the best first.
 
-    `rtcal room` takes the first one for a NAME. Pieces are persons, seats and furniture, in m² each.
+    `rtcal room` takes the first one for a NAME. Pieces are persons, seats and furniture (m² of
+    absorption each).
 
     Example: rtcal materials carpet "wooden chair"
     """

@@ -109,7 +109,7 @@ def _fault(kind: Any, value: Any, place: str, *, refused: bool) -> str | None:
     if not refused:
         return None
     if isinstance(cause, DataError):  # of the constructor
-        return str(cause) if str(cause).startswith(place) else within(place, str(cause))
+        return _of_part(kind, place, str(cause))
     if isinstance(value, int) and abs(value) > 1e300:
         return f"{place} = {shown(value)} is too large"
     most = max((m.le or m.lt or 0 for _, m in map(_bounds, _options(kind)) if m), default=0)
@@ -120,6 +120,16 @@ def _fault(kind: Any, value: Any, place: str, *, refused: bool) -> str | None:
     rule = " or ".join(dict.fromkeys(_words(option) for option in _options(kind)))
     comma = decimal_comma(value) if isinstance(value, str) else ""
     return f"{_whole(place)} = {shown(value)} must be {rule}{percent}{comma}"
+
+
+def _of_part(kind: Any, place: str, message: str) -> str:
+    """Return the message of a part's constructor behind the part's place, joined by a dot to a key."""
+    if message.startswith(place):
+        return message
+    keys = {key for option in _options(kind) if _is_table(option) for key in _fields(option)}
+    begins = re.match(r"\w*", message)
+    is_key = begins is not None and begins[0] in keys
+    return within(place, message) if is_key or not place else f"{place.rstrip(':')}: {message}"
 
 
 def _is_list(kind: Any) -> bool:

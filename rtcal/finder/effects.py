@@ -911,7 +911,8 @@ class OmittedAir(Effect):
         """Return how probable a wrong climate is before the measurement, relative to a usual effect.
 
         The result is 3 if the room has no climate, because every room has air, and 0.3 if it has one.
-        The usual uncertainty of a given climate is not this effect: it is `Case.climate_uncertainty`.
+        The usual uncertainty of a given climate is allowed for in addition
+        (`Case.climate_uncertainty`).
         """
         return 3.0 if room.air is None else 0.3
 

@@ -303,8 +303,8 @@ def directions(case: Case, power: float = POWER) -> Array:
     n_bands). The first two directions are a factor and a tilt over frequency of all materials together.
     Then follow each material's own factor, and each material's own tilt, which are 0 in a configuration
     that changed the material. If the relative sigma of the coefficients is below a handbook's, the
-    changes decrease with this ratio to the ``power``. The factors contain the uncertainties of volume,
-    areas and tables.
+    changes decrease with this ratio to the ``power``. Factors contain errors of volume, areas and
+    tables.
     """
     return read_only_view(np.array([_directions(case.room, c, power) for c in case.configurations]))
 

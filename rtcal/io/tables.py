@@ -411,7 +411,8 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
                 problem += (
                     f'. To read only its rows with one entry, use where={{"{name}": "{entry[0]}"}}'
                 )
-        before = ". Otherwise give" if ". " in problem else ". Give"
+        is_advised = any(advice in problem for advice in (". ", "; write", "; check"))
+        before = ". Otherwise give" if is_advised else ". Give"
         raise DataError(f"{place}: {problem}{_proposed(sheet, at, options, before)}")
     columns = [column for column in found if column]
     return _Table(sheet, columns, at, body, _titles(rows[:at]), [*notes, *sheet.notes], options)
@@ -1182,7 +1183,7 @@ class _Table:
                 cure = columns_text(lines, [c.meaning if c.kind else "-" for c in columns])
                 stated = replace(self.options, columns=cure.partition('"')[2][:-1])
                 is_cure = not (self.options.on_trial or _refusal(self.sheet, stated))
-                cure = f" or give {cure}" * is_cure
+                cure = f", or give {cure}" * is_cure
                 raise DataError(
                     f"{error}. If the values are in {unit}, write {named}{cure}"
                 ) from error

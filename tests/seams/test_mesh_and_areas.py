@@ -98,14 +98,14 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
         (
             "volume = 179.20000000000002",
             "volume = 179200",
-            "volume = 1.792e+05 m³ is 10^3 times the 179.2 m³ of the mesh: check its decimal point",
+            "volume = 1.792e+05 m³ is 1000 times the 179.2 m³ of the mesh: check its decimal point",
         ),
-        ("volume = 179.20000000000002", "volume = 17.92", "volume = 17.92 m³ is 10^-1 times"),
-        (r"area = ([\d.]+)", r"area = \g<1>e2", 'area of "parquet" = 5600 m² is 10^2 times'),
+        ("volume = 179.20000000000002", "volume = 17.92", "volume = 17.92 m³ is 0.1 times"),
+        (r"area = ([\d.]+)", r"area = \g<1>e2", 'area of "parquet" = 5600 m² is 100 times'),
         (
             "area = 12.8",
             "area = 128",
-            'area of "glass" = 128 m² is 10^1 times the 12.8 m² of the mesh',
+            'area of "glass" = 128 m² is 10 times the 12.8 m² of the mesh',
         ),
     ],
 )

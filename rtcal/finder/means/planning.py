@@ -518,8 +518,8 @@ def extended(
 ) -> tuple[MeansProblem, Mask, list[Mask]]:
     """Return the problem of a search with further measurements, and masks of measured and new features.
 
-    The first mask (m,) is True for features that are measured already. The second result has a mask for
-    each further measurement, True for the features that it adds. The hypotheses stay the same.
+    The mask (m,) is True for features that are measured already. The list has a mask (m,) for each
+    further measurement, True for the features that it adds. The hypotheses stay the same.
     """
     case, observed = problem.case, problem.observed
     new = [f for f in further if f.configuration is not None]

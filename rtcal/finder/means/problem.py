@@ -1453,8 +1453,8 @@ def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float
 
     ``likely`` are sets of effects and their probabilities, the weights of the mean (Hoeting et al.
     1999). Under each set, features y and coefficients are jointly normal: E[alpha | y] = mu + Sigma G'
-    C⁻¹ (y - mean), with G = d features / d alpha. T therefore changes the coefficients only as far as
-    neither an effect nor the model's error explains T.
+    C⁻¹ (y - mean), with alpha's prior mean mu and covariance Sigma, G = d features / d alpha, and the
+    covariance C of y. T changes alpha only as far as no effect and no error of the model explains T.
     """
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)

@@ -44,7 +44,8 @@ def of_geometry(
 
     By default a surface consists of the faces of one material in one plane, and has the name of its
     largest face. If ``stated`` is given, it has the names of the faces of each surface; all other faces
-    then belong to no surface. Raises DataError for unknown or repeated faces, or none.
+    then belong to no surface. Raises DataError for an unknown face, a face in two surfaces, and a
+    surface without faces.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
