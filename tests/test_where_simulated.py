@@ -111,7 +111,7 @@ def test_a_second_run_is_compared_at_pairs(finding: rt.finder.Finding, folder: P
         verify(found, simulated=finding.case.simulated, **chosen)
     with pytest.raises(DataError, match="calibrated is given without simulated"):
         verify(found, calibrated=second)
-    with pytest.raises(DataError, match="effect says what a second run contains"):
+    with pytest.raises(DataError, match="effect is given without simulated"):
         verify(found, effect="opening")
 
 

@@ -895,7 +895,8 @@ def _at_positions(
     elif not (effect is None and at is None):
         name = "effect" if at is None else "at"
         raise DataError(
-            f"{name} says what a second run contains: give that run as simulated, or leave {name} out"
+            f"{name} is given without simulated: add the simulation that contains this "
+            f"effect as simulated, or leave {name} out"
         )
     halves, tried = _halves_of(finding.pairs), tuple(finding.effects.values())
     added = list[Candidate | None]()
