@@ -212,7 +212,9 @@ exceeds it without level, and 1 with it."""
 
 
 OWN = (FIELD, UNKNOWN)
-"""Groups of effects that count as the own error of a program whose run is compared."""
+"""Groups of effects that count as the own error of a program whose run is compared. With them, and with
+the error counted for two rooms, none of 64 draws of 16 empty rooms was flagged
+(benchmarks/studies/pairs)."""
 
 
 def evidence_of_means(
