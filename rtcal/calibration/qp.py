@@ -21,7 +21,7 @@ import functools
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -34,6 +34,7 @@ from scipy.sparse.linalg import splu
 
 from rtcal.calibration.terms import AddedAbsorption, AnyTerm, Model, Shared, Term
 from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers, cp
+from rtcal.files.saved import NOT_SAVED
 from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
 
@@ -406,7 +407,8 @@ class Iterate:
     system: System | None = None  # the conditions on the active set; None of a solver's own answer
     status: str = ""  # as a solver names it
     iterations: int = 0
-    seconds: float = float("nan")
+    # Not saved: the same calculation has the same file.
+    seconds: float = field(default=float("nan"), metadata=NOT_SAVED)
 
     def active(self, program: QP) -> tuple[Active, Flags]:
         """Return the active bounds and rows: those whose multiplier exceeds their distance."""

@@ -899,7 +899,6 @@ class CalibrationResult(Result):
                 "name": self.joint.solver,
                 "status": self.raw.status,
                 "iterations": self.raw.iterations,
-                "seconds": None if np.isnan(self.raw.seconds) else self.raw.seconds,
                 "polished": self.joint.polished,
                 "raw_certificate": table.residuals(self.joint.raw_certificate),
                 "raw_alpha": json_numbers(self.joint.raw_alpha[self._rows]),

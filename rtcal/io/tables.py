@@ -207,8 +207,12 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
         For a workbook (xlsx), if openpyxl is not installed.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
-    contents = {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths}
-    return parse(contents, **options)
+    names = [os.fspath(checks.path("path", p)) for p in paths]
+    files = [os.path.realpath(name) for name in names]
+    for i, file in enumerate(files):
+        if file in files[:i]:
+            raise DataError(f"{names[i]} {_GIVEN_TWICE}: give each table once")
+    return parse({name: read_bytes(name, MAX_BYTES) for name in names}, **options)
 
 
 def parse(

@@ -168,3 +168,35 @@ def test_a_response_that_is_given_twice_is_said(
     twice = "every value of S1 to R2 equals that of S1 to R1"
     assert twice in ran(capsys, "measure", one, other, "--bands", "250,500,1000", "--out", again)
     assert twice in ran(capsys, "table", again)
+
+
+def test_a_table_that_is_given_twice_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was read once, without a word."""
+    folder = example("room", tmp_path)
+    path = folder / "t.csv"
+    said = ran(capsys, "table", path, folder / "." / "t.csv", code=2)
+    assert "t.csv is given twice: give each table once" in said
+
+
+def test_a_repeated_command_writes_the_same_bytes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The solver's time was in result.json."""
+    folder = example("change", tmp_path)
+    room, t = folder / "room.toml", folder / "t.csv"
+    commands: dict[str, tuple[object, ...]] = {
+        "calibrate": (room, t),
+        "predict": (room, t, "--change", folder / "variants.toml"),
+        "design": (room, t, "--treatments", folder / "treatments.toml"),
+    }
+    for name, given in commands.items():
+        written = []
+        for time in ("first", "second"):
+            out = folder / f"{name} {time}"
+            ran(capsys, name, *given, "--out", out)
+            every = [path for path in sorted(out.iterdir()) if path.name[0] != "."]
+            written.append({path.name: path.read_bytes() for path in every})
+        first, second = written
+        assert first == second, name
