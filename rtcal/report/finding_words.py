@@ -599,9 +599,10 @@ def next_step(f: Finding, verification: Verification | None = None) -> str:
     if verification is not None and not (verification.misses or verification.verdict == "unproven"):
         return USE[verification.verdict]
     if f.likely_surfaces and f.surface is None:
+        names = listed([f'"{name}"' for name in f.likely_surfaces])
         return (
-            "Look for the effect on the surfaces named above. If you do not find it there, measure at "
-            "one more receiver: `rtcal plan` proposes where."
+            f"Look for the effect on {names}. If you do not find it there, measure at one more "
+            "receiver: `rtcal plan` proposes where."
         )
     what = f.likeliest or f.best
     return (
