@@ -343,7 +343,7 @@ BEFORE, HALF = [[1.2, 1.2]], [[1.2, NAN]]
         ({"values": LACKING}, BEFORE, [1.0, 1.0], [2.0, NAN]),
         # A band without a measured T may lack it; not all measured bands, nor one at first.
         ({"values": LACKING}, [], [1.0, NAN], [2.0, 2.0]),
-        ({"values": LACKING}, [], [1.0, 1.0], r"T20\[S to R2, 1000 Hz\] is missing"),
+        ({"values": LACKING}, [], [1.0, 1.0], "T20 at S to R2, 1000 Hz is missing"),
         ({"values": LACKING}, HALF, [1.0, 1.0], "1000 Hz"),
         ({"values": NONE}, BEFORE, [1.0, 1.0], "S to R1, 500 Hz"),
         (
