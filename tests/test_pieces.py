@@ -140,6 +140,8 @@ def test_files_go_round(tmp_path: Path) -> None:
             "must be from 0 to 10 m², the absorption area of one piece",
         ),
         ({"area_per_piece": [0.5]}, "1 value"),
+        ({"number": 1e9}, r"number = 1e\+09 is too large: the pieces would absorb 1.2e\+09 m²"),
+        ({"number": 190}, "would absorb 228 m², and the room's surfaces have 222 m²"),
         ({"name": "floor"}, 'material and object has "floor" twice'),
         ({"sigma": -0.1}, "the absorption area of one piece"),
         ({"number_sigma": 30}, "If it is in percent"),
@@ -152,6 +154,20 @@ def test_bad_pieces_are_refused(change: dict[str, object], words: str) -> None:
         Room.from_dict(data)
     with pytest.raises(DataError, match="every material of the room is a piece"):
         room(PERSONS).replace(pieces=["persons", "floor", "rest"])
+
+
+def test_the_files_rule_gives_pieces_their_sigma() -> None:
+    data = room().to_dict() | {
+        "object": [{"name": "persons", "number": 30, "area_per_piece": [0.01, 3.0]}]
+    }
+    with pytest.raises(
+        DataError, match=r'object "persons" has no sigma, and the file has no \[prior'
+    ):
+        Room.from_dict(data)
+    made = Room.from_dict(data | {"prior": {"relative": 0.3, "minimum": 0.01}})
+    assert made.sigma[2] == pytest.approx([0.01, 0.9])
+    with pytest.raises(DataError, match="number = 1000 is too large"):
+        Change(add=made.material("persons"), number=1000).apply(room())
 
 
 def test_nobody_is_a_room_without_them() -> None:
@@ -418,6 +434,7 @@ def test_a_box_has_the_pieces_of_its_options(
     for wrong, words in (
         ("sofa=2", 'no piece like "sofa". The nearest names are upholstered chair, theatre seat'),
         ("wooden chair", "must have the form NAME=NUMBER"),
+        ("wooden chair=1e9", 'wooden chair" = 1e+09 is too large'),
         ("wooden chair=0", 'wooden chair" = 0 must'),
     ):
         assert run(*box, "--object", wrong, "--out", tmp_path / "x.toml") == 2

@@ -36,6 +36,7 @@ from rtcal.acoustics.room import (
     lying_on,
     of_materials,
     refuse_repeats,
+    refuse_too_many,
 )
 from rtcal.files.disk import json_numbers
 from rtcal.files.schema import FileTable, Number, read, toml_table
@@ -413,6 +414,8 @@ class Change:
                     f"area = {taken:g} m² is too large: at most {most:g} m², {MOST_ADDED:g} "
                     "times the room's surface, can be added"
                 )
+            if self.number is not None:
+                refuse_too_many("number", taken, new.alpha, room.total_area)
             errors = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
             error = errors.get(new.name, 0.0)
         return taken, replace(new, area=taken, area_sigma=error)

@@ -541,11 +541,12 @@ class Piece:
     name : str
         Name of the objects.
     number : float
-        Number of the objects, above 0.
+        Number of the objects, above 0. In each band they absorb at most the area of the surfaces.
     area_per_piece : sequence (n_bands,)
         Equivalent absorption area of one object in m² (ISO 354), 0 to `LARGEST_PIECE`.
     sigma : float or sequence (n_bands,)
-        Standard deviation of the absorption area of one object in m²; 0 for an exact value.
+        Standard deviation of the absorption area of one object in m²; 0 for an exact value. It may be
+        left out only if the room has a rule for it (table ``[prior]`` of its file).
     source : str
         Source of the absorption areas.
     number_sigma : float
@@ -563,7 +564,7 @@ class Piece:
     name: str
     number: Number
     area_per_piece: Sequence[Number]
-    sigma: PerBand
+    sigma: PerBand | None = None
     source: str = ""
     number_sigma: Number = 0.0
 
@@ -571,6 +572,22 @@ class Piece:
         """Return the row of a room's materials that stands for these pieces."""
         row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
         return replace(row, scattering=scattering, area=self.number)
+
+    def with_sigma(self, rule: SigmaRule | None, frequencies: Array) -> Piece:
+        """Return the pieces with their sigma, or else with that of a rule; DataError without either.
+
+        ISO 12999-2's part of a rule is of coefficients, and does not count.
+        """
+        if self.sigma is not None:
+            return self
+        if rule is None:
+            raise DataError(
+                f'object "{self.name}" has no sigma, and the file has no [prior] from which it could '
+                "follow; add one of them. If in doubt, write sigma = 0.3 times area_per_piece"
+            )
+        area = checks.array(f'area_per_piece["{self.name}"]', self.area_per_piece)
+        sigma = rule.in_situ_factor * np.maximum(rule.relative * area, rule.minimum)
+        return replace(self, sigma=np.minimum(sigma, LARGEST_PIECE).tolist())
 
 
 @dataclass(frozen=True)
@@ -593,6 +610,20 @@ class Surface:
         object.__setattr__(self, "area", area)
         if self.axis is not None and (not isinstance(self.axis, str) or self.axis not in AXES):
             raise DataError(f'surface["{self.name}"].axis = "{self.axis}" must be "x", "y" or "z"')
+
+
+def refuse_too_many(place: str, number: float, area_per_piece: ArrayLike, surface: float) -> None:
+    """Raise DataError if pieces absorb more than surfaces of alpha = 1 would.
+
+    ``place`` is the name of the number in the message, ``area_per_piece`` (n_bands,) in m², and
+    ``surface`` the area of the room's surfaces in m².
+    """
+    absorbed = number * float(np.max(area_per_piece, initial=0.0))
+    if absorbed > surface:
+        raise DataError(
+            f"{place} = {number:g} is too large: the pieces would absorb {absorbed:.4g} m², and the "
+            f"room's surfaces have {surface:.4g} m²"
+        )
 
 
 def with_patches(
@@ -1299,6 +1330,7 @@ class Room:
             checks.positive(f'object["{piece.name}"].number', piece.number)
         refuse_repeats("material and object", [*listed, *pieces])
         scattering = None if lacking else 0.0
+        pieces = tuple(piece.with_sigma(prior, frequencies) for piece in pieces)
         rows = [*used, *(piece.as_material(scattering) for piece in pieces)]
         made = of_materials(rows, frequencies, prior)
         numbers = [piece.number for piece in pieces]
@@ -1312,9 +1344,13 @@ class Room:
             errors = errors | {piece.name: piece.number_sigma for piece in pieces}
         made |= {"area_sigma": errors}
         try:
-            return cls(centre_frequencies=frequencies, **stated, **made)
+            room = cls(centre_frequencies=frequencies, **stated, **made)
         except TypeError as error:
             raise DataError(f"a room cannot be made from these values: {error}") from error
+        for piece in pieces:
+            place = f'object["{piece.name}"].number'
+            refuse_too_many(place, piece.number, piece.area_per_piece, room.total_area)
+        return room
 
     @classmethod
     def from_geometry(

@@ -160,7 +160,7 @@ def _made(
 ) -> tuple[Room, list[str]]:
     """Return the room, and the notes on what was taken and assumed."""
     from rtcal.acoustics.priors import SigmaRule
-    from rtcal.acoustics.room import with_patches
+    from rtcal.acoustics.room import refuse_too_many, with_patches
     from rtcal.io.material_list import MaterialList
     from rtcal.io.text import Text
     from rtcal.simulators.geometry import Polyhedron
@@ -204,6 +204,8 @@ def _made(
     if free:
         for piece in free:
             checks.positive(f'--object "{piece.name}"', piece.number)
+            place = f'--object "{piece.name}"'
+            refuse_too_many(place, piece.number, piece.area_per_piece, made.total_area)
         rows = [*map(made.material, made.materials), *(piece.as_material() for piece in free)]
         made = made.with_rows(rows, pieces=[piece.name for piece in free])
     doubt = units.size_doubt(made.volume, size, unit, advice=units.OF_SIDES)
@@ -341,7 +343,8 @@ def materials(names: tuple[str, ...]) -> None:
         lines += [f"{''.join(values)}  {each.name}", f"  {each.source.removeprefix(f'{origin}: ')}"]
     lines += [_OF_PIECES] if pieces else []
     for piece in pieces:
-        for row, text in ((piece.area_per_piece, piece.name), (piece.sigma, "sigma")):
+        rows: Any = ((piece.area_per_piece, piece.name), (piece.sigma, "sigma"))
+        for row, text in rows:
             lines.append(f"{''.join(f'{value:5.2f}' for value in np.ravel(row))}  {text}")
         lines.append(f"  {piece.source}")
     pages = catalogue.pages([piece.name for piece in pieces])
