@@ -409,6 +409,8 @@ def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
 def unused(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
     """Return the bands of ``frequencies``, in Hz, that no conversion to a ``wanted`` band uses.
 
+    An octave is converted only from all three of its thirds.
+
     Examples
     --------
     >>> print(unused([400, 500, 630, 800], [250, 500, 1000]))

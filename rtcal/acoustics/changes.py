@@ -517,8 +517,8 @@ def uncovering(room: Room, changes: Sequence[Change]) -> list[Change]:
         if own and (below or (closed and name not in added)):
             raise DataError(
                 f'{change}: {own:.4g} m² of "{name}" is a surface of the room, and the '
-                f'material under it is unknown. Give that material: cover = "{name}", by '
-                '= "MATERIAL"'
+                "material under it is unknown. In place of remove, name the material that is "
+                f'visible afterwards: cover = "{name}", by = "MATERIAL"'
             )
         if not below:
             out.append(change)

@@ -532,8 +532,8 @@ def _require_all(
                 name, 3
             )
         near = near or [
-            "no entry. For the entries that are similar to carpet, give --catalogue "
-            f'"{name}=carpet"'
+            "no entry. Say in other words what it is: --catalogue "
+            f'"{name}=carpet" lists the kinds of carpet'
         ]
         lines.append(f'\n- "{name}" is similar to {"; ".join(near)}')
     if len(missing) > _DESCRIBED:
