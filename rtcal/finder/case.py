@@ -1150,7 +1150,7 @@ def case_of(
             raise DataError(
                 f'room "{room.name}" has the [[object]] "{room.pieces[0]}", which has no surface, so '
                 "that rtcal cannot trace the room, as a search by positions must. Search by means over "
-                "positions: delete [sources] and [receivers] from the room's file"
+                "positions with `rtcal find`: delete [sources] and [receivers] from the room's file"
             )
         options = checks.mapped("tracing", {} if tracing is None else tracing)
         checks.texts("tracing: names", options)
