@@ -187,7 +187,10 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert "Similar entries: smooth_brickwork_flush_pointing: " in capsys.readouterr().err
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
-    assert '"material" is similar to no entry. Say in other words what it is' in capsys.readouterr().err
+    assert (
+        '"material" is similar to no entry. Say in other words what it is'
+        in capsys.readouterr().err
+    )
 
 
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:

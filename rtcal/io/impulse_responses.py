@@ -172,11 +172,9 @@ def responses_of(
 class Floor(Enum):
     """List the reasons that limit a decay's level range, as sentences with a place for it in dB."""
 
-    NOISE = "The ratio is {} dB."
-    CUT = "The ratio is {} dB at the end of the response, which is cut off before the noise."
-    END = (
-        "The ratio is {} dB at the end of the response, where noise begins or the decay is cut off."
-    )
+    NOISE = "The decay falls by {} dB before the noise begins."
+    CUT = "The response ends after a decay of {} dB, before its noise: record for longer."
+    END = "The response ends after a decay of {} dB: whether noise begins there cannot be seen."
     FLAT = "The decay begins less than 10 dB above the end of the response (noise, or a cut decay)."
     SHORT = "The response is silent or shorter than 50 ms."
     UNSTEADY = "The sound before its stop is no steady noise in this band."
@@ -208,10 +206,15 @@ class Analysis:
         if missing := self.missing:
             needed: dict[float, list[str]] = {}
             for name in self.measurement.values:
-                needed.setdefault(self.minimum_range[name], []).append(parameter_label(name))
+                of_band = observable(name).label_of_band or parameter_label(name)
+                needed.setdefault(self.minimum_range[name], []).append(of_band)
             parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
-            rule = "A value is missing where the impulse-to-noise ratio is below what ISO 3382 requires"
-            lines += ["", *text.wrapped(f"{rule}: {'; '.join(parts)}.")]
+            some, others = "Values", ""
+            if len(self.measurement.pairs) > 1:
+                some, others = "Values of some pairs", ", and each mean is over the other pairs"
+            rule = "Before its noise or its end, the response must decay by"
+            said = f"{some} are missing{others}. {rule} {'; '.join(parts)} (ISO 3382-1)."
+            lines += ["", *text.wrapped(said)]
             for sentence in missing:
                 lines += text.wrapped(sentence, indent="  ")
         for note in self.notes:

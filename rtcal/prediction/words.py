@@ -83,8 +83,8 @@ CALIBRATED_BEFORE = (
     "calibration, and the measurement."
 )
 GIVEN = (
-    "The interval of T after the change does not include the uncertainty of the T that was measured "
-    "before it."
+    "In the interval, the T that was measured before the change counts as exact. Its own standard "
+    "uncertainty is in the table, and comes in addition."
 )
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "

@@ -1011,10 +1011,10 @@ def _flagged(share: Share) -> str:
     )
 
 
-def _in_rooms(data: str, *counts: str) -> str:
+def _in_rooms(data: str, *counts: str, version: str = "`find`") -> str:
     """Return a sentence with counts in simulated rooms that were not used to make the finder."""
     return (
-        f"In simulated rooms with {data}, none of which was used to make the finder, "
+        f"{version} was tested in simulated rooms that were not used to develop it ({data}): "
         f"{', and '.join(counts)}."
     )
 
@@ -1055,13 +1055,13 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
         f"coefficients {stated}",
         _of(record["detected"], "hidden effects", "were detected"),
         _flagged(record["flagged"]),
+        version="An earlier version of `find`",
     )
     first, once, rest = f"{counted} {listed(found)}.".partition(f", {_OF_INTERVAL}")
-    tested = f"{first}{once}{rest.replace(f', {_OF_INTERVAL}', '')}"
-    return f"An earlier version was tested. {tested}"
+    return f"{first}{once}{rest.replace(f', {_OF_INTERVAL}', '')}"
 
 
-_SEVERAL_DATA = "several configurations, or with C80 or G"
+_SEVERAL_DATA = "several configurations, or C80 or G"
 """`rtcal.finder.records.ALL` as a sentence says it."""
 
 
