@@ -173,7 +173,7 @@ def changing(**fields: Any) -> Effect:
         ([on_state(name="none")], "the name of a verdict"),
         ([on_state(size_error=-1.0)], "size_error"),
         ([on_state(grid=lambda s, state: [])], "grid is empty"),
-        ([on_state(grid=lambda s, state: [{"y": 1.0}])], 'grid has no "x"'),
+        ([on_state(grid=lambda s, state: [{"y": 1.0}])], 'grid: the parameter "x"'),
         ([on_state(grid=lambda s: [])], "TypeError"),
         ([on_state(change=lambda s, state, p: None)], "change returns NoneType"),
         ([changing(volume=-3.0)], "volume must be"),

@@ -565,7 +565,7 @@ def test_a_defective_mesh_becomes_a_room_that_tracers_take(tmp_path: Path, capsy
     entries = [f"--catalogue={n}=rough_concrete" for n in (*BOX.names, "panel")]
     options = ("--catalogue=glass=glass_3mm", "--name", "Great hall", "--temperature", 20)
     said = said_by(capsys, "catalogue", "--mesh", path, *entries, *options, "--out", out)
-    assert "mesh: overlay: 1 faces" in said
+    assert "Mesh: overlay: 1 faces" in said
     room = rt.Room.from_file(str(out))
     assert room.name == "Great hall"
     assert room.volume == pytest.approx(V, rel=1e-3)

@@ -62,7 +62,7 @@ def test_an_uncertainty_above_the_value_is_refused(name: str, parameter: str, va
     m = measured()
     shape = (4, 6) if name == "uncertainty" else (6,)
     stated = replace(m, **{name: {parameter: np.full(shape, value)}})
-    said = rf"{name}\[{parameter}, 125 Hz\] = .* is larger than"
+    said = rf"{name}\[{parameter}, 125 Hz\] = .* is too large for an uncertainty of "
     with pytest.raises(DataError, match=said):
         Configuration(name="measured", measured=stated)
     with pytest.raises(DataError, match=said):
