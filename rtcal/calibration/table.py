@@ -513,7 +513,7 @@ def _together(record: Mapping[str, Any]) -> str:
         return ""
     return (
         f"With a possible common error of all coefficients, {_chance(p_together)} of 100 rooms would "
-        f"(p = {p_together:.2g})."
+        f"deviate as much (p = {p_together:.2g})."
     )
 
 

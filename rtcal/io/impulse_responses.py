@@ -174,7 +174,7 @@ class Floor(Enum):
 
     NOISE = "The decay falls by {} dB before the noise begins."
     CUT = "The response ends after a decay of {} dB, before its noise: record for longer."
-    END = "The response ends after a decay of {} dB: whether noise begins there cannot be seen."
+    END = "The response ends after a decay of {} dB, in noise or before it: record for longer."
     FLAT = "The decay begins less than 10 dB above the end of the response (noise, or a cut decay)."
     SHORT = "The response is silent or shorter than 50 ms."
     UNSTEADY = "The sound before its stop is no steady noise in this band."

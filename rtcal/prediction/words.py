@@ -83,8 +83,8 @@ CALIBRATED_BEFORE = (
     "calibration, and the measurement."
 )
 GIVEN = (
-    "In the interval, the T that was measured before the change counts as exact. Its own standard "
-    "uncertainty is in the table, and comes in addition."
+    "The interval of T after the change leaves out the uncertainty of the T that was measured before; "
+    "the table has it."
 )
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "

@@ -972,8 +972,8 @@ def evidence(f: Finding) -> str:
         nothing = "nothing changed" if f.kind == "states" else "nothing is missing"
         given, which, again = f"odds of {odds(-score)}", nothing, f" that {which}"
     said = (
-        f"The data alone{of} give {given} that {which}. A detection requires {required}{again}. The "
-        f'verdict is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
+        f"Over all effects together, the data{of} give {given} that {which}. A detection requires "
+        f'{required}{again}. The verdict is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
     )
     if f.kind == "positions" and f.case.has_run:
         said += (

@@ -208,7 +208,7 @@ def _table(c: Comparison) -> Table:
         bands.labels(c.run.room.centre_frequencies),
         rows,
         f"Deviation ({'equation' if c.of_equation else 'program'} minus measurement); the parameter "
-        "that deviates most is first",
+        'that deviates most is first. "-": the deviation is below 1 JND or 2 standard uncertainties',
     )
 
 

@@ -495,10 +495,10 @@ def _ends(made: Corrected) -> str:
 def _to_calibrate(command: str, made: Corrected) -> str:
     """Return how the corrected room is calibrated; of one with a caution, after which step."""
     if not made.caution:
-        return f"To calibrate it: {command}."
+        return f"To calibrate {ROOM}: {command}."
     return (
-        "Calibrate it after the effect is confirmed, because a calibration adapts to a wrong effect, "
-        f"too: {command}."
+        f"Do not calibrate {ROOM} before the effect is confirmed, because a calibration adapts to a "
+        f"wrong effect, too. Then: {command}."
     )
 
 
@@ -554,7 +554,7 @@ def correct(
             *warned,
             "",
             *lines_of(calibrated.blocks()),
-            f"{ROOM} and {CASE} hold the input coefficients, not the calibrated ones of this table. "
+            f"{ROOM} and {CASE} hold the input coefficients; only the table has the calibrated ones. "
             + _to_calibrate(f"rtcal calibrate {out / ROOM} MEASURED --out FOLDER", made),
             *(f"Note: {note}" for note in words.noted(finding)),
             *(["The room's file cannot hold:"] if made.notes else []),

@@ -53,8 +53,8 @@ def _as_compared(v: Verification) -> tuple[str, str]:
         run = "in the second run and " * bool(v.again.size)
         return f"{run}averaged over pairs to which it was not fitted, ", ""
     if not v.runs:
-        of_size = "with an effect of this size"
-        return "", f", because no coefficients near the input give the measured T {of_size}"
+        why = "With an effect of this size, no coefficients near the input give the measured T"
+        return "", f". {why}"
     scaled = v.models[1] not in v.runs
     return f"in the second run{', scaled to the measured T by the equation' * scaled}, ", ""
 
