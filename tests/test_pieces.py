@@ -201,6 +201,49 @@ def test_changes_that_pieces_do_not_allow(change: Change, words: str) -> None:
         Change(add="persons")
 
 
+def by_hand(area: np.ndarray, surface: float, of: Room) -> np.ndarray:
+    """Return Eyring's T in s of an absorption area and a surface in m², without the library's."""
+    constant = 24 * np.log(10) / of.speed_of_sound * of.volume
+    air = 4 * of.air_attenuation * of.volume
+    return np.asarray(constant / (-surface * np.log(1 - area / surface) + air))
+
+
+@pytest.mark.parametrize(
+    ("changes", "persons", "surface"),
+    [
+        ([Change(remove="persons", number=1)], -1, 0),
+        ([Change(remove="persons", number=10)], -10, 0),
+        ([Change(remove="persons", number=5), Change(remove="persons", number=5)], -10, 0),
+        ([Change(remove="persons", number=30)], -30, 0),
+        ([Change(remove="persons")], -30, 0),
+        ([Change(remove="persons", number=29), Change(remove="persons")], -30, 0),
+        ([Change(add="persons", number=10)], 10, 0),
+        ([Change(remove="persons", number=10), Change(add="persons", number=4)], -6, 0),
+        ([Change(remove="rest", area=5)], 0, -5),
+        ([Change(remove="rest", area=2), Change(remove="rest", area=3)], 0, -5),
+        ([Change(remove="rest", area=5), Change(remove="persons", number=3)], -3, -5),
+    ],
+)
+def test_a_part_is_taken_out(changes: list[Change], persons: float, surface: float) -> None:
+    result = rt.calibrate(room(PERSONS), [1.0, 0.6])
+    after = result.room
+    area = after.absorption_area + persons * result.alpha[2] + surface * result.alpha[1]
+    expected = by_hand(area, 222 + surface, after)
+    assert result.predict(changes).by_equation["Eyring"] == pytest.approx(expected, rel=1e-6)
+    assert abs(expected / [1.0, 0.6] - 1).min() > 1e-3  # a change that is not made would be seen
+
+
+@pytest.mark.parametrize("number", [10, 30])
+def test_pieces_that_come_back_change_nothing(number: float) -> None:
+    result = rt.calibrate(room(PERSONS), [1.0, 0.6])
+    back = [Change(remove="persons", number=number), Change(add="persons", number=number)]
+    low, high = result.predict(back).interval
+    assert low == pytest.approx([1.0, 0.6], rel=1e-9)
+    assert high == pytest.approx([1.0, 0.6], rel=1e-9)
+    with pytest.raises(DataError, match='number = 21 is more than the 20 of "persons"'):
+        result.predict([Change(remove="persons", number=10), Change(remove="persons", number=21)])
+
+
 VARIANTS = """
 [[object]]
 name = "audience"
@@ -215,14 +258,20 @@ number = 40
 name = "without"
 [[variant.change]]
 remove = "persons"
+[[variant]]
+name = "fewer"
+[[variant.change]]
+remove = "persons"
+number = 20
 """
 
 
 def test_predictions_add_and_take_pieces() -> None:
     whole = room(PERSONS)
-    (full, without), _ = read_variants(VARIANTS, whole)
+    variants, _ = read_variants(VARIANTS, whole)
     result = rt.calibrate(whole, [1.0, 0.6])
-    for variant, number in ((full, 40 * np.array([0.5, 0.9])), (without, -30 * result.alpha[2])):
+    added = (40 * np.array([0.5, 0.9]), -30 * result.alpha[2], -20 * result.alpha[2])
+    for variant, number in zip(variants, added, strict=True):
         prediction = result.predict(list(variant.changes))
         area = result.room.absorption_area + number
         times = rt.Eyring().time(result.room, area)

@@ -404,7 +404,7 @@ class Change:
                 raise DataError(
                     f'{stated} = {taken:g}{unit} is more than the {has:g}{unit} of "{self.surface}"'
                 )
-            taken = has if self.area is None or taken > has * (1 - _ROUNDING) else taken
+            taken = has if not taken or taken > has * (1 - _ROUNDING) else taken
         if self.material is None:
             return taken, None
         new = _material(room, self.material)
