@@ -17,7 +17,7 @@ from rtcal.acoustics.changes import Change, changed, facing
 from rtcal.command.finder import read_case
 from rtcal.io import geometry_files, units
 from rtcal.simulators import Polyhedron
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, InfeasibleError
 from tests.conftest import run
 
 FT = 0.3048
@@ -442,3 +442,28 @@ def test_pieces_larger_than_their_wall_are_refused() -> None:
             materials=[rt.Material("plaster", [0.1], 0.01), rt.Material("glass", [0.1], 0.01)],
             centre_frequencies=[500],
         )
+
+
+def test_what_is_exact_by_definition_stays_and_the_contradiction_is_stated(
+    tmp_path: Path, capsys
+) -> None:
+    """With sigma = 0.3, an open window of 10 m² was calibrated to 0.70, and nothing contradicted."""
+    sides = [*box("9,6,4", "concrete", "concrete", "brick"), "--bands", "500"]
+    opening = ["--window", "west=10:open window"]
+    path = tmp_path / "room.toml"
+    assert run("room", *sides, *opening, "--t20", "500:3.2", "--out", path) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "This is more than the input's standard deviations explain" in said
+    assert "; 0 for open window (exact by definition)" in said
+    stated = rt.Room.from_file(str(path))
+    assert stated.material("open window").sigma == [0.0]
+    calibrated = rt.calibrate(stated, rt.Measurement.from_values([500], t20=[3.2]))
+    assert calibrated.room.material("open window").alpha == [1.0]
+    with pytest.raises(InfeasibleError, match="the bounds allow 10 to 228 m²"):
+        rt.calibrate(stated, rt.Measurement.from_values([500], t20=[3.6]))
+    areas = ["--area", "open_window=10", "--area", "brickwork=218", "--volume", "216"]
+    assert run("import", "catalogue", *areas, "--out", tmp_path / "of_catalogue.toml") == 0
+    assert "; 0 for open_window (exact by definition)" in " ".join(capsys.readouterr().out.split())
+    imported = rt.Room.from_file(str(tmp_path / "of_catalogue.toml"))
+    assert not np.any(imported.material("open_window").sigma)
+    assert np.min(imported.material("brickwork").sigma) >= 0.01

@@ -5,7 +5,7 @@ The mesh is checked, read, mended, drawn, and written beside the room.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from rtcal.support.text import as_sentence, rounded, shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
+    from rtcal.acoustics.priors import SigmaRule
     from rtcal.acoustics.room import Room, Surface
     from rtcal.io.material_list import ListedMaterial, MaterialList
     from rtcal.io.mend import Mended
@@ -244,13 +245,10 @@ def _imported(
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
-    of_sigma = (
-        f"{rule}; from the file: {', '.join(sigma)}"
-        if sigma
-        else f"Assumed standard deviation of alpha: {rule}"
-    )
+    taken = {name: others.get(name) or listed.listed(name) for name in used}
+    of_sigma = f"{rule}; from the file: {', '.join(sigma)}" if sigma else assumed_sigma(rule, taken)
     notes = [of_sigma, air_note(room)]
-    scatter = {name: (others.get(name) or listed.listed(name)).scattering for name in used}
+    scatter = {name: material.scattering for name, material in taken.items()}
     console.tell(*described(room, unused, notes + of_mesh, scatter))
 
 
@@ -576,6 +574,13 @@ def air_note(room: Room) -> str:
             "--humidity."
         )
     return f"The air has {room.air.temperature:g} °C and {room.air.humidity:g} % relative humidity."
+
+
+def assumed_sigma(rule: SigmaRule, used: Mapping[str, ListedMaterial]) -> str:
+    """Return the note on the assumed sigma, which names materials that are exact by definition."""
+    exact = [name for name, material in used.items() if material.sigma == 0]
+    apart = f"; 0 for {', '.join(exact)} (exact by definition)" if exact else ""
+    return f"Assumed standard deviation of alpha: {rule}{apart}"
 
 
 def described(

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command import console
-from rtcal.command.import_room import AIR, NAME, SIGMA, air_note, described, stated_air
+from rtcal.command.import_room import (
+    AIR,
+    NAME,
+    SIGMA,
+    air_note,
+    assumed_sigma,
+    described,
+    stated_air,
+)
 from rtcal.files.disk import spare
 from rtcal.io import units
 from rtcal.io.text import numbers, shown
@@ -214,7 +222,7 @@ def _made(
         said,
         *filter(None, [doubt]),
         *materials.notes,
-        f"Assumed standard deviation of alpha: {rule}",
+        assumed_sigma(rule, materials.listed),
         air_note(made),
     ]
     return made.replace(dimensions=size), notes
@@ -335,7 +343,7 @@ def materials(names: tuple[str, ...]) -> None:
     origin = catalogue.origin()
     lines = [
         f"{origin}: alpha in {span(of_octaves)}; `rtcal room` takes 30 % of alpha as sigma, at least "
-        "0.01"
+        f"0.01; {catalogue.OPENING} is exact"
     ]
     for each in listed:
         by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))

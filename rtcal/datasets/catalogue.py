@@ -98,7 +98,7 @@ def material(
         Centre frequencies in Hz of octaves that the catalogue has, within 125 to 8000 Hz.
     in_situ_factor : float
         Factor between sigma and ISO 12999-2's standard deviation between laboratories. Above 4 kHz,
-        where the standard has no value, sigma is that at 4 kHz.
+        where the standard has no value, sigma is that at 4 kHz. An open window's sigma is 0.
 
     Raises
     ------
@@ -125,10 +125,13 @@ def material(
     sigma = np.array(
         [sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))]
     )
+    sigma = SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * sigma
+    if (own := entries[name].sigma) is not None:
+        sigma = np.full(len(f), own)
     return Material(
         name=name,
         alpha=alpha.tolist(),
-        sigma=(SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * sigma).tolist(),
+        sigma=sigma.tolist(),
         source=entries[name].source,
     )
 
@@ -271,6 +274,7 @@ def material_list() -> MaterialList:
         centre_frequencies=_OCTAVES,
         spans=(),
         source=f"{descriptions[OPENING]} ({_OF_OPENING}); mounting: {mounted[OPENING]}",
+        sigma=0.0,
     )
     return replace(listed, path="the catalogue", materials=(*of_table, opening))
 

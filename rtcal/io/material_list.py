@@ -95,6 +95,8 @@ class ListedMaterial:
     inserted. ``unit`` is the factor from a number in the file to the coefficient, 0.01 for percent.
     ``decimals`` is the number of decimals to write; None for all. ``source`` is the origin of the
     coefficients, "" for the list itself. ``doubt`` is a reason not to use them, "" without one.
+    ``sigma`` is the standard deviation of all coefficients, 0 where they are exact by definition; None
+    leaves it to a rule.
     """
 
     name: str
@@ -109,6 +111,7 @@ class ListedMaterial:
     scattering_place: int | None = None
     source: str = ""
     doubt: str = ""
+    sigma: float | None = None
 
     @classmethod
     def of(
@@ -217,7 +220,8 @@ class MaterialList:
         ``volume`` is in m³. ``areas`` are areas in m² by a material's name or alias, or surfaces, such
         as those of a mesh. ``centre_frequencies`` are the room's bands in Hz; None means the bands that
         all its materials have. ``sigma`` has the known uncertainties of alpha, by material;
-        ``sigma_rule`` gives all others (None means max(0.3 alpha, 0.01)). ``scattering`` is the
+        a material's own sigma counts next, and ``sigma_rule`` gives all others (None means max(0.3
+        alpha, 0.01)). ``scattering`` is the
         coefficient of materials without one; with None, the room has scattering only if all its
         materials have. ``others`` are materials from another source, by name. ``air`` is the room's
         air; None for air that absorbs nothing.
@@ -247,7 +251,7 @@ class MaterialList:
             place = f'material "{material_name}"'
             alpha = listed.in_bands(listed.alpha, wanted, place)
             spread = (sigma_rule or SigmaRule()).sigma(alpha, wanted)
-            stated = (sigma or {}).get(material_name)
+            stated = (sigma or {}).get(material_name, listed.sigma)
             if isinstance(stated, ListedMaterial):
                 spread = stated.in_bands(stated.alpha, wanted, f"sigma of {place}")
             elif stated is not None:
