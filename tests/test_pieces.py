@@ -237,9 +237,10 @@ def test_a_part_is_taken_out(changes: list[Change], persons: float, surface: flo
 def test_pieces_that_come_back_change_nothing(number: float) -> None:
     result = rt.calibrate(room(PERSONS), [1.0, 0.6])
     back = [Change(remove="persons", number=number), Change(add="persons", number=number)]
-    low, high = result.predict(back).interval
-    assert low == pytest.approx([1.0, 0.6], rel=1e-9)
-    assert high == pytest.approx([1.0, 0.6], rel=1e-9)
+    # With an uncertain number, T of the calibrated room is not exactly the measured one.
+    as_it_is = rt.Eyring().reverberation_time(result.room)
+    for end in result.predict(back).interval:
+        assert end == pytest.approx(as_it_is, rel=1e-9)
     with pytest.raises(DataError, match='number = 21 is more than the 20 of "persons"'):
         result.predict([Change(remove="persons", number=10), Change(remove="persons", number=21)])
 
