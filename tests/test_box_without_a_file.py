@@ -226,6 +226,7 @@ def test_questions_in_the_terminal(
     asked, given = tmp_path / "asked.toml", tmp_path / "given.toml"
     answers = ["9x7", "9x7x3", "xyzzy", "carpet", "acoustic tile", "plaster", "", "55"]
     answers += [str(asked), "nothing", "west=4.5:glazing", "west=17:glazing", "south=2:door", ""]
+    answers += ["persons", "sofa=2", "persons=0", "persons=9999", "persons=20", "desks=15", ""]
     answers += ["0.9 0.8", "900 800 700 700 600 600", "0.9 0.8 0.7 0.7 0.6 0.6"]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     assert run("room", "--ask") == 0
@@ -238,10 +239,16 @@ def test_questions_in_the_terminal(
     assert "900 s must be from 0.01 to 120 s" in said.err
     assert "and then `rtcal calibrate" in " ".join(said.out.split())
     assert '"west" has 16.5 m² left' in said.err
+    assert "Persons, seats, desks (NAME=NUMBER: person seated=20), or nothing" in said.err
+    assert "no piece" in said.err
+    assert '--object "persons" = 9999 is too large' in said.err
+    assert said.err.count("For persons the catalogue's") == 1
+    assert said.out.count("For persons the catalogue's") == 1
     options = box(
         "9,7,3", "carpet", "acoustic tile", "plaster", *("--temperature", "20", "--humidity", "55")
     )
     options += ["--window", "west=4.5:glazing", "--door", "south=2:door", "--name", "asked"]
+    options += ["--object", "persons=20", "--object", "desks=15"]
     assert run("room", *options, "--out", given) == 0
     assert given.read_text() == asked.read_text()
 
@@ -428,6 +435,16 @@ def test_the_largest_share_of_absorption_is_first() -> None:
     assert line
     assert line[1] == "large"
     assert float(line[2]) == pytest.approx(100 * shares["large"].mean(), abs=0.5)
+    # A band without a measured T has the shares of the input, and is not in the mean.
+    one = rt.calibrate(room, rt.Measurement.from_values([500], t20=[0.5]))
+    line = re.search(
+        r"mean over the measured bands \(range\): large (\d+) % \((\d+)\)",
+        " ".join(str(one).split()),
+    )
+    assert line
+    of_large = np.array(one.to_dict()["absorption_share"][0]["share"])
+    assert float(line[1]) == pytest.approx(100 * of_large[0], abs=0.5)
+    assert abs(of_large.mean() - of_large[0]) > 0.01  # a mean over all bands would be seen
 
 
 def test_pieces_larger_than_their_wall_are_refused() -> None:

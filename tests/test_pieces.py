@@ -282,6 +282,30 @@ def test_predictions_add_and_take_pieces() -> None:
         read_variants(VARIANTS.replace("number = 40", "area = 40"), whole)
 
 
+def test_what_a_file_brings_in_may_have_its_sigma_by_rule() -> None:
+    whole = room(PERSONS)
+    material = """
+[[material]]
+name = "panel"
+alpha = [0.01, 0.5]
+"""
+    bare = VARIANTS.replace("sigma = [0.1, 0.2]\n", "") + material
+    ruled = bare + "[prior]\nrelative = 0.3\nminimum = 0.02\n"
+    added = ruled.replace('add = "audience"\nnumber = 40', 'add = "panel"\narea = 4')
+    for text, expected in ((ruled, [0.15, 0.27]), (added, [0.02, 0.15])):
+        (full, *_), _ = read_variants(text, whole)
+        after = full.changes[0].apply(whole)
+        assert after.sigma[-1] == pytest.approx(expected)
+    with pytest.raises(DataError, match='material "panel" has no sigma'):
+        read_variants(bare, whole)
+    with pytest.raises(DataError, match='object "audience" has no sigma'):
+        read_variants(bare.replace(material, ""), whole)
+    with pytest.raises(DataError, match=r"prior\.band_correlation belongs to the room's file"):
+        read_variants(ruled + "band_correlation = 0.5\n", whole)
+    with pytest.raises(DataError, match='object "audience": number = 3 belongs to the change'):
+        read_variants(VARIANTS.replace("sigma = [0.1", "number = 3\nsigma = [0.1"), whole)
+
+
 def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
     whole = room(PERSONS)
     box = Polyhedron.shoebox((9, 7, 3), "floor")

@@ -22,14 +22,18 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.priors import SigmaRule
 from rtcal.acoustics.room import (
     AXES,
     Material,
+    Piece,
+    PriorTable,
     Room,
     Scene,
     Surface,
@@ -713,8 +717,19 @@ class NewPiece(FileTable):
 
     name: str
     area_per_piece: list[Number]
-    sigma: Number | list[Number]
+    sigma: Number | list[Number] | None = None
     source: str = ""
+    number: Number | None = None
+
+    def material(self, room: Room, rule: SigmaRule | None) -> Material:
+        """Return one piece as a material; DataError without sigma and a rule, and with a number."""
+        if self.number is not None:
+            raise DataError(
+                f'object "{self.name}": number = {self.number:g} belongs to the change that adds it; '
+                "leave it out here"
+            )
+        piece = Piece(self.name, 1.0, self.area_per_piece, self.sigma, self.source)
+        return replace(piece.with_sigma(rule, room.centre_frequencies).as_material(), area=None)
 
 
 class VariantsFile(FileTable):
@@ -724,6 +739,7 @@ class VariantsFile(FileTable):
     material: list[NewMaterial] = []
     object: list[NewPiece] = []
     target: TargetTable | None = None
+    prior: PriorTable | None = None
 
 
 class TreatmentsFile(FileTable):
@@ -733,6 +749,7 @@ class TreatmentsFile(FileTable):
     target: TargetTable
     material: list[NewMaterial] = []
     probability: Number = 0.8
+    prior: PriorTable | None = None
 
 
 @dataclass(frozen=True)
@@ -773,8 +790,8 @@ def read_variants(
     reasons of `target_of`.
     """
     file = read(VariantsFile, toml_table(content))
-    new = _new_materials(file.material, room, catalogue)
-    of_one = [Material(p.name, p.area_per_piece, p.sigma, source=p.source) for p in file.object]
+    new = _new_materials(file.material, room, catalogue, file.prior)
+    of_one = [each.material(room, _rule(file.prior)) for each in file.object]
     refuse_repeats("the file's materials and objects", [*file.material, *file.object])
     of_materials(of_one, room.centre_frequencies)
     new |= {piece.name: piece for piece in of_one}
@@ -806,14 +823,31 @@ def read_variants(
     return tuple(variants), target_of(file.target, room.volume, room.centre_frequencies)
 
 
+def _rule(prior: PriorTable | None) -> SigmaRule | None:
+    """Return the rule for sigma of what a file brings in; None if it states none."""
+    stated = {} if prior is None else structs.asdict(prior)
+    if stated.pop("band_correlation", 0.0):
+        raise DataError("prior.band_correlation belongs to the room's file: leave it out here")
+    return SigmaRule(**stated) if stated else None
+
+
 def _new_materials(
-    stated: Sequence[NewMaterial], room: Room, catalogue: Catalogue | None
+    stated: Sequence[NewMaterial],
+    room: Room,
+    catalogue: Catalogue | None,
+    prior: PriorTable | None,
 ) -> dict[str, Material]:
-    """Return the materials of a file by name; DataError for one that does not fit the room's bands."""
+    """Return the materials of a file by name, with their sigma, which may be by the file's rule.
+
+    Raises DataError for a material that does not fit the room's bands, or that has no sigma.
+    """
     refuse_repeats("the file's materials", stated)
     new = {each.name: each.material(room, catalogue) for each in stated}
-    of_materials([*new.values()], room.centre_frequencies)
-    return new
+    sigma = of_materials([*new.values()], room.centre_frequencies, _rule(prior))["sigma"]
+    return {
+        m.name: replace(m, sigma=of_one.tolist()) if m.sigma is None else m
+        for m, of_one in zip(new.values(), sigma, strict=True)
+    }
 
 
 def _named(key: str, material: Any, room: Room, new: Mapping[str, Material]) -> Any:
@@ -922,7 +956,7 @@ def read_treatments(
     ``catalogue`` and the errors are those of `read_variants`.
     """
     file = read(TreatmentsFile, toml_table(content))
-    new, treatments = _new_materials(file.material, room, catalogue), []
+    new, treatments = _new_materials(file.material, room, catalogue, file.prior), []
     for each in file.treatment:
         place = f'treatment "{each.name}": '
         _named(f"{place}covers", each.covers, room, {})

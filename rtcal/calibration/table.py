@@ -255,7 +255,7 @@ def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the share of each material, of further effects and of the air in each band's absorption.
 
     ``record`` is the calibration as `CalibrationResult.to_dict` returns it. The entries are sorted by
-    their mean over the bands, the largest first. The shares of a band sum to 1.
+    their mean over the measured bands, the largest first. The shares of a band sum to 1.
     """
     parts = [(m["name"], m["area"] * numbers(m["alpha_after"])) for m in record["materials"]]
     if any(added := record["added_absorption"]):
@@ -263,8 +263,14 @@ def absorption_share(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     air, surfaces = numbers(record["air_share"]), np.sum([part for _, part in parts], axis=0)
     of_surfaces = (1 - air) / np.where(surfaces > 0, surfaces, 1.0)
     shares = [*((name, part * of_surfaces) for name, part in parts), ("air", air)]
-    shares.sort(key=lambda of: -np.nan_to_num(of[1]).mean())
+    known = _known(record)
+    shares.sort(key=lambda of: -np.nan_to_num(of[1])[known].sum())
     return [{"name": name, "share": json_numbers(share)} for name, share in shares]
+
+
+def _known(record: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """Return in which bands T was measured; all others have the coefficients of the input."""
+    return np.asarray(np.isfinite(numbers(record["measured"]["reverberation_time"])))
 
 
 def share_rows(record: Mapping[str, Any]) -> list[Row]:
@@ -293,9 +299,10 @@ def whole_percents(shares: Array) -> Array:
 
 
 def _shares_in_words(record: Mapping[str, Any]) -> str:
-    """Return the mean and the range of each share over the bands, the largest first."""
+    """Return the mean and the range of each share over the measured bands, the largest first."""
     shares = np.array([numbers(one["share"]) for one in record["absorption_share"]])
-    shares = shares[:, np.isfinite(shares).all(axis=0)]
+    known = _known(record)
+    shares = shares[:, np.isfinite(shares).all(axis=0) & known]
     seen = (100 * shares).max(axis=1, initial=0.0) >= _LEAST_SHARE
     if not seen.any():
         return f"{SHARE}: unknown in every band."
@@ -305,7 +312,8 @@ def _shares_in_words(record: Mapping[str, Any]) -> str:
     for name, mean, of in zip(names, means, 100 * shares, strict=True):
         ends = dict.fromkeys([f"{of.min():.0f}", f"{of.max():.0f}"])
         said.append(f"{name} {mean:.0f} % ({' to '.join(ends)})")
-    return f"{SHARE}, mean over the bands (range): {', '.join(said)}."
+    over = "the bands" if known.all() else "the measured bands"
+    return f"{SHARE}, mean over {over} (range): {', '.join(said)}."
 
 
 def _parameters(record: Mapping[str, Any]) -> list[str]:

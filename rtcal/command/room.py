@@ -399,7 +399,7 @@ def _ask(
     """Put answers into the options that are not given; a wrong answer is asked for again."""
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.bands import span
-    from rtcal.acoustics.room import with_patches
+    from rtcal.acoustics.room import refuse_too_many, with_patches
     from rtcal.simulators.geometry import Polyhedron
 
     def answer(question: str, check: Callable[[str], Any], default: str | None = None) -> Any:
@@ -425,6 +425,19 @@ def _ask(
             with_patches(whole, [(place, of, area) for place, area, of in pieces])
             place, _, of = pieces[-1]
             material(f"piece of {place}", of)
+        return text
+
+    def counted(text: str) -> str:
+        if text:
+            x, y, z = _sides(stated["dimensions"])[0]
+            trial = _Materials(materials.bands)  # `_made` looks the pieces up once more, with notes
+            every = console.numbers("--object", (*stated["objects"], text), _OBJECT)
+            for each, n in every.items():
+                place = f'--object "{each}"'
+                of_one = trial.piece(each, checks.positive(place, n)).area_per_piece
+                refuse_too_many(place, n, of_one, 2 * (x * y + y * z + z * x))
+            for note in trial.notes[-1:]:
+                click.echo(f"  {note}", err=True)
         return text
 
     def climate(name: str, text: str) -> float:
@@ -456,6 +469,10 @@ def _ask(
         added = answer(f"A window, a door ({_PIECE}), or nothing", piece, "")
         stated["pieces"] = (*stated["pieces"], added)
     stated["pieces"] = stated["pieces"][:-1]
+    while not stated["objects"] or stated["objects"][-1]:
+        question = f"Persons, seats, desks ({_OBJECT}: person seated=20), or nothing"
+        stated["objects"] = (*stated["objects"], answer(question, counted, ""))
+    stated["objects"] = stated["objects"][:-1]
     if not times:
         question = f"Measured T20 / s in {span(materials.bands)}, to calibrate, or nothing"
         if text := answer(question, measured_time, ""):
