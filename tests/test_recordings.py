@@ -268,7 +268,27 @@ def test_stops_of_several_files_are_averaged_at_their_position(tmp_path: Path) -
     assert one.measurement.values["t20"][0] == analysis.measurement.values["t20"][1]
     alone = written(tmp_path / "one.wav", stopped(0.6, rate, rng, n=1), rate)
     u = recordings.interrupted(alone, bands=[1000]).measurement.uncertainty["t20"]
-    assert np.isnan(u).all()
+    b, n, t = 0.71 * 1000, 1, recordings.interrupted(alone, bands=[1000]).measurement.values["t20"]
+    assert u == pytest.approx(0.88 * np.sqrt((1 + 1.9 / n) * t / b), rel=1e-3)  # ISO 3382-2, Eq. 4
+
+
+def test_stops_that_agree_by_chance_have_the_theoretical_uncertainty(tmp_path: Path) -> None:
+    """Three equal stops have no spread; a spread that is larger than the theory counts itself."""
+    rate, rng = 16000, np.random.default_rng(18)
+    once = stopped(0.6, rate, rng, n=1)
+    path = written(tmp_path / "equal.wav", np.tile(once, 3), rate)
+    analysis = recordings.interrupted(path, bands=[1000])
+    for parameter, a, b in (("t20", 0.88, 1.9), ("t30", 0.55, 1.52)):
+        t, u = (
+            x[parameter][0, 0]
+            for x in (analysis.measurement.values, analysis.measurement.uncertainty)
+        )
+        assert u == pytest.approx(a * np.sqrt((1 + b / 3) * t / (0.71 * 1000)), rel=1e-3)
+    assert "the larger of the standard error over the stops" in analysis.notes[1]
+    apart = np.concatenate([once, stopped(1.0, rate, rng, n=1), once])
+    path = written(tmp_path / "apart.wav", apart, rate)
+    u = recordings.interrupted(path, bands=[1000]).measurement.uncertainty["t20"][0, 0]
+    assert u > 0.08  # the standard error of about 0.6, 1.0, 0.6 s is 0.13 s; the theory has 0.03 s
 
 
 def test_a_double_slope_of_stopped_noise_is_noted(tmp_path: Path) -> None:

@@ -48,6 +48,9 @@ _STEP = 1e-5
 _BINS = 4000
 """Bins of the exponential decay that stands for a noise-like response, over twice its T."""
 
+_DECAYS = 10
+"""Decays that an integrated impulse response counts as (ISO 3382-2:2008, 6.2)."""
+
 
 Part = Literal["late", "early", "level"]
 
@@ -199,7 +202,9 @@ class Observable(ABC):
         """Return the single-number value (...) of values by band, (..., n_bands), or NaN."""
         return np.full(np.shape(values)[:-1], np.nan)
 
-    def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
+    def variance_of_mean(
+        self, frequencies: Array, mean: Array, positions: Array, decays: int = _DECAYS
+    ) -> Array:
         """Return the theoretical variance of a mean over positions; NaN without a theory."""
         return np.full(np.shape(mean), np.nan)
 
@@ -341,8 +346,6 @@ steps between. All pairs of a team have this error in common."""
 MARGIN_DB = 15.0
 """Least distance in dB from the lower end of the evaluation range to the end of the decay. An
 exponential decay that ends there has a T20 that is 0.4 % too low."""
-_DECAYS = 10
-"""Decays that an integrated impulse response counts as (ISO 3382-2:2008, 6.2)."""
 
 
 def decay_curve_db(energy: Array) -> Array:
@@ -491,19 +494,21 @@ class DecaySlope(Relative):
         with np.errstate(invalid="ignore"):
             return np.asarray(self.one_decay / np.sqrt(bandwidth * times))
 
-    def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
+    def variance_of_mean(
+        self, frequencies: Array, mean: Array, positions: Array, decays: int = _DECAYS
+    ) -> Array:
         """Return the variance a² T (1 + b / n) / (N B) of a mean T over N positions with n decays.
 
         The variance is in s². B is the bandwidth in Hz. ``frequencies`` (n_bands,) are in Hz, ``mean``
-        (n_bands,) is T in s and ``positions`` (n_bands,) is N. The standard was not at hand; a and b
-        are those of RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009),
+        (n_bands,) is T in s, ``positions`` (n_bands,) is N and ``decays`` is n. The standard was not
+        at hand; a and b are those of RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009),
         which names EN ISO 3382.
         """
         if self.averages is None:
-            return super().variance_of_mean(frequencies, mean, positions)
+            return super().variance_of_mean(frequencies, mean, positions, decays)
         a, b = self.averages
         bandwidth = bands.bandwidth_factor(frequencies) * frequencies
-        return np.asarray(a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth))
+        return np.asarray(a**2 * mean * (1 + b / decays) / (np.maximum(positions, 1) * bandwidth))
 
     def largest_uncertainty(self, values: Array) -> Array:
         """Return the largest meaningful uncertainty of each decay time in s: the time itself."""

@@ -104,7 +104,7 @@ def measure(
         other = "--sweep" if sweep is not None else "--uncertainty" if uncertainty else "--level"
         why = {
             "--sweep": "a recording holds either a sweep or stopped noise",
-            "--uncertainty": "the uncertainty is then the spread of the decays after the stops",
+            "--uncertainty": "the uncertainty is then given without it, by the stops and ISO 3382-2",
             "--level": "stopped noise has the level of a steady sound",
         }[other]
         raise DataError(f"{other} cannot be given with --interrupted: {why}. Leave {other} out")

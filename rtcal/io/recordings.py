@@ -8,7 +8,8 @@ ends where the recording no longer holds the whole sweep.
 Of interrupted noise (ISO 3382-2:2008, 5.3) each band gives a level curve around each stop. The energies
 of all stops at a position are averaged, as its decays may not be long enough alone; T20 and T30 are
 regressions on the levels, over blocks of T / 40. The standard uncertainty is that of the mean over the
-stops, by the spread of their own T.
+stops, by the spread of their own T, or the theoretical one of ISO 3382-2:2008 if that is larger: the
+spread of three stops has two degrees of freedom, and knows nothing of what they have in common.
 
 References: ISO 3382-2:2008; Mueller and Massarani, J. Audio Eng. Soc. 49 (2001).
 """
@@ -312,6 +313,10 @@ _STEPS = 10
 """Number of regressions, each in the range of the last one's line; nothing changes after five."""
 _PRECISION = 3
 """Number of stops at each position by the precision method of ISO 3382-2:2008."""
+_OF_UNCERTAINTY = (
+    "the uncertainty is the larger of the standard error over the stops and the theoretical standard "
+    "deviation of ISO 3382-2 for as many decays"
+)
 PARAMETERS = ("t20", "t30")
 """Names of the parameters that interrupted noise gives; its EDT would begin in the noise itself."""
 
@@ -336,7 +341,8 @@ def interrupted(
     """Return T20 and T30 from recordings of interrupted noise, in bands.
 
     Each recording may have several decays. All decays at a position are averaged, including those of
-    repeats. The uncertainty is that of the mean, if there are two or more decays. Parameters are those
+    repeats. The uncertainty is the larger of the standard error of this mean, by the decays' own T, and
+    the theoretical standard deviation of ISO 3382-2 for as many decays. Parameters are those
     of `rtcal.io.impulse_responses.read`.
 
     Raises
@@ -389,12 +395,27 @@ def interrupted(
     notes = [f"stops per position: {spread(counts, 'd')}", *doubts]
     if min(counts) < _PRECISION:
         notes[0] += "; ISO 3382-2 asks for 2 (engineering method) or 3 (precision method)"
+    notes.insert(1, _OF_UNCERTAINTY)
     analysis = ir.assembled([*by_place], found, centres, needed, notes)
     uncertainty = {
-        p: np.where(np.isfinite(analysis.measurement.values[p]), np.array(spreads)[..., i], np.nan)
+        p: np.fmax(np.array(spreads)[..., i], _theory(p, centres, analysis, counts))
         for i, p in enumerate(needed)
     }
+    uncertainty = {
+        p: np.where(np.isfinite(analysis.measurement.values[p]), u, np.nan)
+        for p, u in uncertainty.items()
+    }
     return replace(analysis, measurement=replace(analysis.measurement, uncertainty=uncertainty))
+
+
+def _theory(parameter: str, frequencies: Array, analysis: Analysis, counts: Sequence[int]) -> Array:
+    """Return ISO 3382-2's standard deviation of T from the decays at each position, in s."""
+    one, of = np.ones(len(frequencies)), of_kind(DecaySlope)[parameter]
+    values = analysis.measurement.values[parameter]
+    rows = [
+        of.variance_of_mean(frequencies, t, one, n) for t, n in zip(values, counts, strict=True)
+    ]
+    return np.sqrt(rows)
 
 
 def _spread(each: Sequence[Mapping[str, float]], parameters: Iterable[str]) -> list[float]:
