@@ -73,7 +73,9 @@ def test_a_name_that_shares_letters_alone_finds_nothing(name: str) -> None:
     ("name", "entry"),
     [
         ("Holzboden", "wood_1.6cm"),
-        ("Laminat", "wood_1.6cm"),
+        ("Laminat", "stage_floor"),
+        ("parquet floor", "stage_floor"),
+        ("metal ceiling", "ceiling_metal_panel"),
         ("Betondecke", "unpainted_concrete"),
         ("white wall", "hard_surface"),
         ("red carpet", "carpet_thin"),
@@ -94,6 +96,9 @@ def test_a_name_of_any_form_means_its_entry(name: str, entry: str) -> None:
         ("blue paint", "a finish or a form does not state what has it. The nearest names are"),
         ("blackboard", "The nearest names are wooden_lining, hard_surface, glass_3mm"),
         ("bookshelf", "pieces (`rtcal room --object`): filing cabinet"),
+        ("bed", "pieces (`rtcal room --object`): upholstered chair, theatre seat"),
+        ("steel", "The nearest names are hard_surface, ceiling_metal_panel"),
+        ("sheet metal", "The nearest names are hard_surface, ceiling_metal_panel"),
         ("Sofa", "pieces (`rtcal room --object`): upholstered chair, theatre seat"),
     ],
 )

@@ -419,7 +419,8 @@ def test_pieces_have_the_bands_of_their_values() -> None:
 @pytest.mark.parametrize(
     ("name", "piece"),
     [
-        ("person", "person in a group"),
+        ("person", "person seated"),
+        ("persons", "person seated"),
         ("chair", "wooden chair"),
         ("Stuhl", "wooden chair"),
         ("Sessel", "upholstered chair"),
@@ -444,8 +445,10 @@ def test_an_option_finds_what_the_list_finds(
 @pytest.mark.parametrize(
     ("said", "first"),
     [
-        ("people", "person in a group"),
+        ("people", "person seated"),
         ("students", "pupil at a desk"),
+        ("student desk", "desk"),
+        ("pupil at a desk", "pupil at a desk"),
         ("wooden chairs", "wooden chair"),
         ("padded chair", "upholstered chair"),
         ("theatre seats", "theatre seat"),
@@ -506,6 +509,7 @@ def test_a_box_has_the_pieces_of_its_options(
     one = [rows_of(name).mean(axis=0).round(4) for name in made.pieces]
     assert added == pytest.approx(30 * one[0] + 2 * one[1])
     for wrong, words in (
+        ("bed=2", "own values go into the room's file, as [[object]]"),
         ("sofa=2", 'no piece like "sofa". The nearest names are upholstered chair, theatre seat'),
         ("wooden chair", "must have the form NAME=NUMBER"),
         ("wooden chair=1e9", 'wooden chair" = 1e+09 is too large'),

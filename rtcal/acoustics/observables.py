@@ -501,8 +501,8 @@ class DecaySlope(Relative):
 
         The variance is in s². B is the bandwidth in Hz. ``frequencies`` (n_bands,) are in Hz, ``mean``
         (n_bands,) is T in s, ``positions`` (n_bands,) is N and ``decays`` is n. The standard was not
-        at hand; a and b are those of RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009),
-        which names EN ISO 3382.
+        at hand; a and b are those of RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P.
+        Dietrich, 2009), which names EN ISO 3382.
         """
         if self.averages is None:
             return super().variance_of_mean(frequencies, mean, positions, decays)

@@ -304,7 +304,10 @@ class _Materials:
         try:
             near = catalogue.found(name, catalogue.pieces())
         except DataError as error:
-            raise DataError(f"--object: {error}; `rtcal materials` lists all pieces") from error
+            raise DataError(
+                f"--object: {error}. `rtcal materials` lists all pieces; own values go into the "
+                "room's file, as [[object]] with name, number, area_per_piece and sigma"
+            ) from error
         if near[0] != name:
             others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
             self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")

@@ -298,8 +298,11 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
     near = similar(name, 1 + _OTHERS, among)
     words = _words(name)
     bare = near and words & _FINISHES and words - _PLACES <= _FINISHES
-    bare = bare and not (among is None and words in _called("names"))
-    if near and not bare:
+    called = among is None and words in _called("names")
+    bare = bare and not called
+    # Steel alone is no metal ceiling with holes, although these share the word.
+    unlike = bool(near) and not called and _has_none(words - _PLACES)
+    if near and not (bare or unlike):
         return near
     kind, option, other = "material", "its other names are pieces (`rtcal room --object`)", pieces()
     if among is not None:
@@ -307,6 +310,7 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
     said = f'the catalogue has no {kind} like "{shortened(name, 60)}"'
     said += ": a finish or a form does not state what has it" if bare else ""
     meant = _in_meaning(name)
+    near = [] if unlike else near
     near = near or [n for n in meant if n in described] or _in_letters(name, described)
     said += f". The nearest names are {', '.join(near)}" if near else ""
     if beyond := [n for n in meant if n in other]:
@@ -324,6 +328,11 @@ def _in_meaning(name: str) -> list[str]:
     return [
         n.strip() for things, near in stated if asked & {*things.split()} for n in near.split(",")
     ]
+
+
+def _has_none(words: frozenset[str]) -> bool:
+    """Return whether all words are of one thing of which ``material_names.toml`` states no entry."""
+    return bool(words) and any(words <= {*things.split()} for things in _stated()["near"])
 
 
 def _in_letters(name: str, described: Mapping[str, str]) -> list[str]:
@@ -366,7 +375,8 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     for entry, (own, _) in of_entry.items():
         people = own & _PEOPLE and not any(_closest(word, _PEOPLE) for word in asked)
         scores[entry] *= (_OF_A_PLACE if people else 1.0) / (1 + 0.02 * len(own))
-    if asked in called:
+    # A pupil desk is a desk, but pupils at a desk are pupils.
+    if asked in called and not re.search(r"\bat\b", name.lower()):
         scores[called[asked]] = np.inf
     best = sorted((n for n, score in scores.items() if score), key=lambda n: (-scores[n], n))
     return best[:most]
