@@ -297,6 +297,65 @@ def test_the_advised_size_of_a_hole_and_weld_are_those_that_close_it(factor: flo
     assert kinds(mended(large, largest_hole=float(advised))) == ["hole"]
 
 
+def cornered(*without: tuple[int, int, int]) -> Drawn:
+    """Return the box in rectangles that are drawn up to 8, 2 and 3 m, without those named by centre."""
+    cuts, drawn = ([0, 8, 10], [0, 2, 5, 7], [0, 3, 4]), list[tuple[str, Any]]()
+    for axis in range(3):
+        i, j = (k for k in range(3) if k != axis)
+        for level in (cuts[axis][0], cuts[axis][-1]):
+            for a, b in zip(cuts[i][:-1], cuts[i][1:], strict=True):
+                for c, d in zip(cuts[j][:-1], cuts[j][1:], strict=True):
+                    face = np.full((4, 3), float(level))
+                    face[:, i], face[:, j] = (a, b, b, a), (c, c, d, d)
+                    if tuple(2 * face.mean(axis=0)) not in without:
+                        drawn.append((("side", "wall", "flat")[axis], face))
+    return drawn
+
+
+@pytest.mark.parametrize(
+    ("without", "area", "sigma"),
+    [
+        ([(20, 7, 7), (18, 7, 8)], 9, {"side": 3, "flat": 6}),  # across an edge
+        ([(20, 12, 7), (18, 12, 8), (18, 14, 7)], 8, {"side": 2, "flat": 4, "wall": 2}),  # a corner
+    ],
+)
+def test_a_hole_across_an_edge_or_a_corner_is_closed_in_its_planes(
+    without: list[tuple[int, int, int]], area: float, sigma: dict[str, float]
+) -> None:
+    """It was measured as the slanting face over it, and `--hole` with that area was refused again."""
+    drawn = cornered(*without)
+    with pytest.raises(mend.MeshError, match=rf"hole of {area} m² at") as refused:
+        mended(drawn)
+    assert refused.value.unclosed is not None
+    u = {name: share / np.sqrt(3) for name, share in sigma.items()}
+    assert refused.value.unclosed.area_uncertainty == pytest.approx(u)
+    (advised,) = re.findall(r"--hole ([0-9.]+)$", str(refused.value))
+    done = mended(drawn, largest_hole=float(advised))
+    assert done.volume == pytest.approx(V, rel=1e-9)
+    assert done.areas == pytest.approx({"side": 56, "wall": 80, "flat": 140})
+    assert done.area_uncertainty == pytest.approx(u)
+
+
+def test_a_hole_that_no_option_closes_is_refused_without_one() -> None:
+    """`--hole` was proposed where the face over the rim left the walls open."""
+    drawn = cornered((20, 7, 7), (18, 7, 8), (20, 12, 7), (18, 14, 7))  # twice around the corner
+    with pytest.raises(mend.MeshError) as refused:
+        mended(drawn)
+    assert "--hole" not in str(refused.value).replace("--hole cannot close it", "")
+    with pytest.raises(mend.MeshError, match="is not plane"):
+        mended(drawn, largest_hole=50)
+
+
+def test_what_a_mended_mesh_does_not_keep_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = obj(cornered((20, 7, 7), (18, 7, 8)), tmp_path / "a.obj"), tmp_path / "mended.obj"
+    said = said_by(capsys, "check", path, "--hole", 9.1, "--mended", out)
+    assert "The mended mesh does not keep the uncertainty." in said
+    assert "volume_sigma = 0.024, area_sigma = 0.031 of side and area_sigma = 0.025 of flat" in said
+    assert "does not keep" not in said_by(capsys, "check", out, "--mended", tmp_path / "again.obj")
+
+
 @pytest.mark.long
 def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
     """The benchmark has 200; these are others."""

@@ -19,6 +19,7 @@ from rtcal.files.disk import commit, spare
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.speed import bar
 from rtcal.support.text import as_sentence, rounded, shortened
+from rtcal.support.text import listed as in_a_row
 
 if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
@@ -160,7 +161,21 @@ def check(
         "defects": [asdict(defect) for defect in done.defects],
         "notes": notes,
     }
-    console.tell("\n".join([*map(as_sentence, notes), str(done)]), record)
+    unsure = _not_in_mesh(mesh, done) if mended is not None else []
+    console.tell("\n".join([*map(as_sentence, notes), str(done), *unsure]), record)
+
+
+def _not_in_mesh(mesh: str, model: Mended) -> list[str]:
+    """Return the sentence on the uncertainties that a mended mesh cannot keep; none without any."""
+    relative = model.volume_uncertainty / model.volume
+    volume = [f"volume_sigma = {relative:.2g}"] * (relative > _LEAST_UNCERTAINTY)
+    areas = [f"area_sigma = {u:.2g} of {m}" for m, u in _area_sigma(model, model.areas).items()]
+    if not volume and not areas:
+        return []
+    return [
+        f"The mended mesh does not keep the uncertainty. Add to a room's file that is made from it "
+        f"{in_a_row([*volume, *areas])}; `rtcal import ... --mesh {mesh}` writes this by itself."
+    ]
 
 
 def _imported(
@@ -320,6 +335,7 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
             refused = str(error)
             if leaks and chords is not None:
                 refused += f". --leaks cannot be used, because the holes are too large: {chords}"
+                refused += ". Use `rtcal import ... --open`" * (error.unclosed is not None)
             elif takes_paths:
                 refused += (
                     f". To use the mesh with its holes, take `rtcal import ... --leaks`: {chords}. A "
@@ -460,16 +476,20 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
         room = room.replace(volume_sigma=sigma)
         drawn = "drawn: its faces do not close" if is_open else "mended"
         notes.append(f"V is known to {100 * sigma:.2g} % (volume_sigma), by what was {drawn}")
-    unsure = model.area_uncertainty
-    of_room = zip(room.materials, room.areas.tolist(), strict=True)
-    relative = {m: min(unsure.get(m, 0.0) / area, _MOST_UNCERTAINTY) for m, area in of_room}
-    area_sigma = {m: float(f"{u:.2g}") for m, u in relative.items() if u > _LEAST_UNCERTAINTY}
+    area_sigma = _area_sigma(model, dict(zip(room.materials, room.areas.tolist(), strict=True)))
     if area_sigma:
         room = room.replace(area_sigma=area_sigma)
         each = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
         left = "mended and left open" if is_open else "mended"
         notes.append(f"Areas are known (area_sigma), by what was {left}: {each}")
     return room, notes
+
+
+def _area_sigma(model: Mended, areas: Mapping[str, float]) -> dict[str, float]:
+    """Return the relative uncertainty of the areas, in m² by material, that a mesh leaves open."""
+    unsure = model.area_uncertainty
+    relative = {m: min(unsure.get(m, 0.0) / area, _MOST_UNCERTAINTY) for m, area in areas.items()}
+    return {m: float(f"{u:.2g}") for m, u in relative.items() if u > _LEAST_UNCERTAINTY}
 
 
 def _centre_frequencies(

@@ -7,7 +7,8 @@ on walls, reflectors hang free, tables have no bottom. In this order
    onto it;
 2. faces narrower than ``weld`` (slivers) and faces drawn twice are dropped; faces that are not plane
    are divided into triangles;
-3. small holes of the room's shell are closed, with the material of the face at their longest edge;
+3. small holes of the room's shell are closed, with the material of the face at their longest edge; a
+   hole across an edge or a corner of the room is closed in each of its two or three planes;
 4. a face on a larger one (a window on its wall, up to `OFFSET` before it) takes its area;
 5. corners of an object near a wall are moved onto it, up to `OFFSET` from its open bottom and up to
    ``weld`` from a face;
@@ -35,7 +36,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
-from itertools import compress
+from itertools import combinations, compress, product
 from operator import add
 from typing import Any, NamedTuple
 
@@ -61,7 +62,7 @@ from rtcal.simulators.geometry import WELD as FINE
 from rtcal.simulators.geometry import area as area_of
 from rtcal.simulators.geometry import welded as weld_vertices
 from rtcal.support import library
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import listed, rounded
 from rtcal.support.types import Array
 
@@ -248,12 +249,21 @@ class Mending:
     ``drawn`` are its faces. Corners that are at most ``weld`` in m apart become one. ``largest_hole``
     is the area in m² of the largest hole that is closed; None for a share of the walls' area.
     ``points`` (n, 3) are the corners in m. ``repeated`` are faces that are drawn twice, each with the
-    material of the face that is kept.
+    material of the face that is kept. ``bent_rim`` is the place of a hole whose rim is not plane.
+    ``is_trial`` means that options are tried, which therefore propose no others.
     """
 
-    def __init__(self, drawn: Faces, weld: float, largest_hole: float | None = None) -> None:
+    def __init__(
+        self,
+        drawn: Faces,
+        weld: float,
+        largest_hole: float | None = None,
+        *,
+        is_trial: bool = False,
+    ) -> None:
         self.drawn, self.path = drawn, drawn.path
         self.weld, self.largest_hole = weld, largest_hole
+        self.is_trial, self.bent_rim = is_trial, ""
         self.points: Array = np.zeros((0, 3))
         self.repeated = list[tuple[Face, str]]()
         self._found: dict[tuple[str, str], Defect] = {}
@@ -790,7 +800,8 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     mend, missing = part.mend, part.open_edges()
     largest = _HOLE_SHARE * part.size if mend.largest_hole is None else mend.largest_hole
     loops = loops_of(missing)
-    areas = [area_of(mend.points[loop]) for loop in loops or ()]
+    lids = [_lids(part, missing, loop) for loop in loops or ()]
+    areas = [sum(lid.area for lid in each) for each in lids]
     large = sorted((k for k, a in enumerate(areas) if a > largest), key=lambda k: -areas[k])
     if loops is None or large:
         _note_others(part, others)
@@ -811,21 +822,122 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
         more = f" ({len(large)} holes in all)" if len(large) > MOST_PLACES else ""
         raise mend.refused(
             f"{each}{more}; only holes up to {rounded(largest, 3)} m² are closed automatically. "
-            f"{_hint(part, loops[large[0]], others)}",
+            f"{_hint(part, loops[large[0]], areas[large[0]], others)}",
             missing,
         )
-    for loop, area in zip(loops, areas, strict=True):
-        material = _beside(part, missing, loop)
+    for loop, area, closing in zip(loops, areas, lids, strict=True):
+        materials = " and ".join(dict.fromkeys(lid.material for lid in closing))
         mend.found(
             "hole",
-            [f"at {mend.place(loop[0])}, {material}"],
+            [f"at {mend.place(loop[0])}, {materials}"],
             area,
             surface=area,
             uncertainty=area**1.5 / 4,
-            unsure=[(material, ANY_SHARE * area)],  # it may be of another material
+            unsure=[(lid.material, ANY_SHARE * lid.area) for lid in closing],  # or of another
         )
-        part.faces.append(Face(loop, material, "closed hole"))
+        rim = mend.points[loop]
+        if len(closing) == 1 and best_plane(rim)[1] > max(mend.weld, PLANARITY):
+            mend.bent_rim = mend.place(loop[0])
+        apex = mend.new_points(closing[0].apex)
+        part.faces += [Face(lid.corners + apex, lid.material, "closed hole") for lid in closing]
     return flattened(part) if loops else part
+
+
+class _Lid(NamedTuple):
+    """Hold one of the faces that close a hole.
+
+    ``corners`` are those at the rim, and ``apex`` (0 or 1, 3) is the corner of the room that is missing
+    in the hole, in m. ``area`` is in m².
+    """
+
+    corners: list[int]
+    apex: Array
+    material: str
+    area: float
+
+
+_MOST_RIM_PLANES = 8
+"""Largest number of planes at a hole's rim of which two or three are sought that hold all of it."""
+
+
+def _lids(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> list[_Lid]:
+    """Return the faces that close a hole.
+
+    A plane rim has one. A rim that lies on two planes of its neighbours has a face in each, with the
+    line between the rim's corners on both as common side. A rim on three has a face in each, which meet
+    in the corner of the three planes. Any other rim has one face, which is not plane.
+    """
+    points, none = part.mend.points, np.zeros((0, 3))
+    rim, tolerance = points[loop], max(part.mend.weld, PLANARITY)
+    plain = [_Lid(loop, none, _beside(part, missing, edges_of(loop)), area_of(rim))]
+    if best_plane(rim)[1] <= tolerance:
+        return plain
+    planes = list[Polygon]()
+    for face in dict.fromkeys(missing[edge] for edge in edges_of(loop)):
+        plane = Polygon(points[part.faces[face].corners])
+        if not any(
+            abs(plane.normal @ p.normal) > _FACING and p.thickness(plane.corners) <= tolerance
+            for p in planes
+        ):
+            planes.append(plane)
+    if len(planes) > _MOST_RIM_PLANES:
+        return plain
+    on: list[NDArray[np.bool_]] = [np.abs(plane.away(rim)) <= tolerance for plane in planes]
+    found = list[tuple[float, float, list[_Lid]]]()
+    for number in (2, 3):
+        for chosen in combinations(range(len(planes)), number):
+            if not np.any([on[k] for k in chosen], axis=0).all():
+                continue
+            apex = none if number == 2 else _apex(rim, [planes[k] for k in chosen], tolerance)
+            if number == 3 and not len(apex):
+                continue
+            for order in (chosen, chosen[::-1])[: number - 1]:
+                for runs in _runs([on[k] for k in order]):
+                    lids = [
+                        _Lid(
+                            corners := [loop[i] for i in run],
+                            apex,
+                            _beside(part, missing, edges_of(corners)[1:]),
+                            area_of(np.concatenate([points[corners], apex])),
+                        )
+                        for run in runs
+                    ]
+                    # Of corners on both planes, those nearest to each other: else a side runs back.
+                    length = sum(extent_of(points[[r.corners[0], r.corners[-1]]]) for r in lids)
+                    if min(lid.area for lid in lids) > SAME:
+                        total = round(sum(lid.area for lid in lids), 6)
+                        found.append((total, length, lids))
+        if found:
+            return min(found, key=lambda each: each[:2])[2]
+    return plain
+
+
+def _apex(rim: Array, planes: Sequence[Polygon], tolerance: float) -> Array:
+    """Return the corner in which three planes meet, (1, 3) in m; (0, 3) if there is none by the rim."""
+    normals, near = np.array([plane.normal for plane in planes]), rim.mean(axis=0)
+    if abs(np.linalg.det(normals)) < 1 - _FACING:
+        return np.zeros((0, 3))
+    apex = near - np.linalg.solve(normals, [float(plane.away(near)) for plane in planes])
+    away = np.linalg.norm(rim - apex, axis=1)
+    is_near = tolerance < away.min() and away.max() <= 2 * extent_of(rim)
+    return np.array([apex] * bool(is_near)).reshape(-1, 3)
+
+
+def _runs(on: Sequence[NDArray[np.bool_]]) -> list[list[list[int]]]:
+    """Return all divisions of a rim into runs, one on each plane and in their order.
+
+    ``on`` tells for each plane which corners of the rim it has. A run ends where the next begins.
+    """
+    n, found = len(on[0]), list[list[list[int]]]()
+    starts = [np.flatnonzero(on[k - 1] & on[k]).tolist() for k in range(len(on))]
+    for chosen in product(*starts):
+        lengths = [(chosen[(k + 1) % len(on)] - chosen[k]) % n for k in range(len(on))]
+        if sum(lengths) != n:
+            continue
+        runs = [[(a + i) % n for i in range(m + 1)] for a, m in zip(chosen, lengths, strict=True)]
+        if all(m and bool(on[k][runs[k]].all()) for k, m in enumerate(lengths)):
+            found.append(runs)
+    return found
 
 
 def _note_others(shell: FaceSet, others: Sequence[FaceSet]) -> None:
@@ -838,19 +950,42 @@ def _note_others(shell: FaceSet, others: Sequence[FaceSet]) -> None:
         shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
 
 
-def _hint(part: FaceSet, loop: list[int], others: Sequence[FaceSet]) -> str:
-    """Return how a hole may be mended: faces whose corners nearly meet its edges ask for a weld."""
-    points = part.mend.points
+def _hint(part: FaceSet, loop: list[int], area: float, others: Sequence[FaceSet]) -> str:
+    """Return how a hole of this area in m² may be mended, of the options only one that was tried.
+
+    Faces whose corners nearly meet its edges ask for a weld.
+    """
+    mend, points = part.mend, part.mend.points
     beside = sorted({v for other in others for v in other.corners} - {*part.corners})
     if beside:
         away, _ = cKDTree(points[beside]).query(points[loop])
         if (distance := float(np.median(away))) < _NEAR:
-            return (
-                f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: use --weld "
-                f"{np.max(away[away < _NEAR]) * 1.1:.2g}"
-            )
-    enough = rounded(1.01 * area_of(points[loop]), 3)  # more than the area, as printed
-    return f"In your program, {_LOOPS}; or use --hole {enough}"
+            weld = f"{np.max(away[away < _NEAR]) * 1.1:.2g}"
+            lie = f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: "
+            if _closes(mend, float(weld), mend.largest_hole):
+                return f"{lie}use --weld {weld}"
+            return f"{lie}let them meet in your program"
+    enough = rounded(1.01 * area, 3)  # more than the area, as printed
+    by_hand = f"In your program, {_LOOPS}"
+    if _closes(mend, mend.weld, float(enough)):
+        return f"{by_hand}; or use --hole {enough}"
+    rim = best_plane(points[loop])[1] > max(mend.weld, PLANARITY)
+    return f"{_BENT_RIM} and --hole cannot close it. {by_hand}" if rim else by_hand
+
+
+_BENT_RIM = "The hole's rim is not plane,"
+
+
+def _closes(mend: Mending, weld: float, largest_hole: float | None) -> bool:
+    """Return whether the mesh can be mended with these options; not tried within such a trial."""
+    if mend.is_trial:
+        return False
+    trial = Mending(mend.drawn, max(weld, SAME), largest_hole, is_trial=True)
+    try:
+        _closed_room(trial)
+    except RtcalError:
+        return False
+    return True
 
 
 def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> MeshError:
@@ -886,26 +1021,28 @@ def _left_open(shell: FaceSet) -> list[Defect]:
     What is missing beside a material may be any share of the hole, as the rest may be of another
     material. Open edges that bound no hole are counted, because nothing is known of the area there.
     """
-    missing, points = shell.open_edges(), shell.mend.points
+    missing = shell.open_edges()
     loops = loops_of(missing)
     if loops is None:
         done = "bound no hole: the area that S lacks there is unknown"
         return [Defect("open edge", len(missing), 0.0, 0.0, 0.0, 0.0, (), done)]
     found = list[Defect]()
     for loop in loops:
-        area, beside = area_of(points[loop]), _beside(shell, missing, loop)
+        lids = _lids(shell, missing, loop)
+        area = sum(lid.area for lid in lids)
+        beside = " and ".join(dict.fromkeys(lid.material for lid in lids))
         at = (f"at {shell.mend.place(loop[0])}, {beside}",)
-        u = {beside: float(ANY_SHARE * area)}
+        u = combined((lid.material, float(ANY_SHARE * lid.area)) for lid in lids)
         found.append(
             Defect("open hole", 1, area, 0.0, 0.0, 0.0, at, "left as drawn and not in S", u)
         )
     return [reduce(add, found)] if found else []
 
 
-def _beside(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> str:
-    """Return the material beside the longest edge of a hole."""
+def _beside(part: FaceSet, missing: Mapping[Edge, int], edges: Iterable[Edge]) -> str:
+    """Return the material beside the longest of some edges of a hole."""
     points = part.mend.points
-    edge = max(edges_of(loop), key=lambda edge: extent_of(points[[*edge]]))
+    edge = max(edges, key=lambda edge: extent_of(points[[*edge]]))
     return part.faces[missing[edge]].material
 
 
@@ -1531,7 +1668,12 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
         )
     if (closed := _closed_as_drawn(faces, weld)) is not None:
         return closed
-    drawn = welded(Mending(faces, max(weld, SAME), largest_hole))
+    return _closed_room(Mending(faces, max(weld, SAME), largest_hole))
+
+
+def _closed_room(mend: Mending) -> Mended:
+    """Return the room that a mesh encloses after all repairs; MeshError if there is none."""
+    drawn = welded(mend)
     part = _room_between(drawn) or drawn
     part = flattened(_snapped(_joined(without_repetitions(part))))
     mend, (shell, others) = part.mend, _shell_of(part)
@@ -1539,7 +1681,11 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
         shell = without_holes(shell, others)
         return mend.result(_room_of(shell, others))
     except DataError as error:
-        refused = error if isinstance(error, MeshError) else mend.refused(f"after mending, {error}")
+        if mend.is_trial:
+            raise
+        rim = f"the hole at {mend.bent_rim} has a rim that is not plane; " if mend.bent_rim else ""
+        message = f"after mending, {rim}{error}"
+        refused = error if isinstance(error, MeshError) else mend.refused(message)
         raise as_drawn(
             shell, others, refused
         ) from None  # an error that is its own cause has no end

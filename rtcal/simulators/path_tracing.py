@@ -675,6 +675,10 @@ MOST_LEAKED = 0.02
 out. 2 % leave through 1/5,000 of the surface."""
 
 
+_LARGEST_ALPHA = 0.99
+"""Largest mean alpha that is printed as one with which a mesh can be traced; no room has it."""
+
+
 class Chords(NamedTuple):
     """Estimates of volume and surface of a geometry with holes, from rays between its walls.
 
@@ -702,11 +706,18 @@ class Chords(NamedTuple):
         return 1 - 10 ** (-6 * math.log1p(-min(lost, 1 - 1e-9)) / math.log1p(-MOST_LEAKED))
 
     def __str__(self) -> str:
-        return (
+        head = (
             f"by rays V = {rounded(self.volume, 4)} ± {rounded(self.volume_uncertainty, 2)} m³, S = "
             f"{rounded(self.area, 4)} ± {rounded(self.area_uncertainty, 2)} m²; "
             f"{100 * self.lost:.2g} % of the rays leave through holes, and of the paths of a tracing "
-            f"at most {100 * MOST_LEAKED:g} % where the mean alpha of the room is at least "
+        )
+        if self.least_alpha > _LARGEST_ALPHA:
+            return (
+                f"{head}more than {100 * MOST_LEAKED:g} %, whatever the absorption coefficients: the "
+                "mesh cannot be traced"
+            )
+        return (
+            f"{head}at most {100 * MOST_LEAKED:g} % where the mean alpha of the room is at least "
             f"{self.least_alpha:.2g} in every band"
         )
 
