@@ -484,3 +484,24 @@ def test_what_is_exact_by_definition_stays_and_the_contradiction_is_stated(
     imported = rt.Room.from_file(str(tmp_path / "of_catalogue.toml"))
     assert not np.any(imported.material("open_window").sigma)
     assert np.min(imported.material("brickwork").sigma) >= 0.01
+
+
+def test_t_of_a_box_is_printed_by_its_equation(tmp_path: Path, capsys) -> None:
+    path = tmp_path / "room.toml"
+    sides = [*box("9,7,3", "0.1", "0.5", "0.1"), "--bands", "500,1000", "--out", path]
+    for equation in (rt.Eyring(), rt.Sabine()):
+        assert run("room", *sides, "--equation", equation.key, "--force") == 0
+        said = " ".join(capsys.readouterr().out.split())
+        t = equation.reverberation_time(rt.Room.from_file(str(path)))
+        first = (
+            f"T by {equation.name}'s equation: {t[0]:.2f}, {t[1]:.2f} s in 2 bands, 500 to 1000 Hz"
+        )
+        assert said.startswith(first)
+        assert run("room", *sides, "--equation", equation.key, "--json", "--force") == 0
+        assert json.loads(capsys.readouterr().out)["reverberation_time"] == pytest.approx(t)
+    assert "t.csv --equation sabine, or --t20" in said
+    named = ["--equation", "sabine", "--t20", "500:0.5"]
+    assert run("room", *sides, *named, "--force") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "calibrated to T20 by Sabine's equation" in said
+    assert '--t20 "500:0.5" --equation sabine' in said

@@ -30,6 +30,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
+    from rtcal.acoustics.equations import LinearEquation
     from rtcal.acoustics.room import Piece, Room
     from rtcal.io.material_list import ListedMaterial
 
@@ -82,18 +83,24 @@ _COPIES = "The values are from copies of these tables, not from the works themse
     *SIGMA,
     "t20",
     "t30",
+    "equation",
     NAME,
     console.flag("ask", "Ask in the terminal for what is not given."),
     console.file("out", "Room (TOML) to write."),
 )
 def room(
-    ask: bool, bands: str | list[float] | None, t20: str | None, t30: str | None, **stated: Any
+    ask: bool,
+    bands: str | list[float] | None,
+    t20: str | None,
+    t30: str | None,
+    equation: LinearEquation,
+    **stated: Any,
 ) -> None:
     """Make a room from the sides of a box and the names of its materials.
 
     Names are looked up in the catalogue (after Vorländer 2008). The entries that were taken are
-    printed. With --t20 or --t30 the room is also calibrated, as by `rtcal calibrate`; --out writes the
-    room before calibration.
+    printed, and T by the equation. With --t20 or --t30 the room is also calibrated, as by `rtcal
+    calibrate`; --out writes the room before calibration.
 
     \b
     Example: rtcal room --dimensions 9,7,3 --floor carpet \\
@@ -104,7 +111,7 @@ def room(
     \b
     Example: rtcal room --ask
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.bands import octaves, third_octaves
+    from rtcal.acoustics.bands import octaves, span, third_octaves
 
     if bands is None or isinstance(bands, str):
         bands = [*(third_octaves(100, 5000) if bands == "third-octave" else octaves(125, 4000))]
@@ -129,20 +136,29 @@ def room(
     made, notes = _made(materials, own, **stated)
     said, record = described(made, [], notes, {})
     path = shlex.quote(out or "room.toml")
-    then = f"Next: rtcal calibrate {path} t.csv, or --t20 with T by band in place of t.csv"
+    which = "" if equation.key == "eyring" else f" --equation {equation.key}"
+    then = f"Next: rtcal calibrate {path} t.csv{which}, or --t20 with T by band in place of t.csv"
     if times:
         from rtcal.calibration import methods
 
         with console.without_air_warning():
             measured = console.measured(made, None, t20=times.get("t20"), t30=times.get("t30"))
-            result = methods.calibrate(made, measured)
+            result = methods.calibrate(made, measured, equation=equation)
         said, record = f"{result}\n\n{said}", {**record, "calibration": result.to_dict()}
         (option,) = times
-        second = f'rtcal calibrate {path} --{option} "{times[option]}"'
+        second = f'rtcal calibrate {path} --{option} "{times[option]}"{which}'
         then = (
             f"This stands for two commands: `rtcal room` without --{option}, and then `{second}`; "
             "with --out calibrated, the second keeps the calibrated room."
         )
+    else:
+        with console.without_air_warning():
+            t = equation.reverberation_time(made)
+        said = (
+            f"T by {equation.name}'s equation: {', '.join(f'{each:.2f}' for each in t)} s in "
+            f"{span(made.centre_frequencies)}\n{said}"
+        )
+        record = {**record, "equation": equation.key, "reverberation_time": t}
     if out is None:
         said = f"{said}\nNothing is written; --out room.toml keeps the room."
     else:
