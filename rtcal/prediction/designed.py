@@ -538,7 +538,7 @@ class Design(Result):
         return [
             *map(Note, made.heads[:-1]),
             Note(needed),
-            Note(f"The target is {target.source}."),
+            *map(Note, words.of_target(target)),
             Note(
                 "T is in the target in all bands at once with a probability of "
                 f"{self.probability_together:.2f}. Probabilities are means over random draws{drawn}."

@@ -564,7 +564,7 @@ class Predictions(Result):
         rows = [Row(p.name, s.after, ".2f") for p, s in zip(self.predictions, shown, strict=True)]
         found: list[Block] = [Table(labels, rows, f"{shown[0].name} after each change")]
         if self.target is not None:
-            found.append(Note(f"The target is {self.target.source}."))
+            found += [Note(said) for said in words.of_target(self.target)]
         elif all(cost is None for cost in self.costs):
             return found
         costs = ["-" if c is None else f"{c:.0f}" for c in self.costs]

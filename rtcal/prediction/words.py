@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.acoustics.changes import Target
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.types import Array
 
@@ -91,6 +92,11 @@ UNPLACED = (
     "for all of them on one pair of walls, where T falls less. To narrow it, give the axis of "
     "each surface, or the dimensions, or name the surfaces floor, ceiling and wall."
 )
+
+
+def of_target(target: Target) -> list[str]:
+    """Return where a target is from in a sentence; none if the user gave its limits."""
+    return [] if target.source == Target.source else [f"The target is {target.source}."]
 
 
 def headline(
