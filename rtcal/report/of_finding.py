@@ -498,7 +498,7 @@ def _to_calibrate(command: str, made: Corrected) -> str:
         return f"To calibrate {ROOM}: {command}."
     return (
         f"Do not calibrate {ROOM} before the effect is confirmed, because a calibration adapts to a "
-        f"wrong effect, too. Then: {command}."
+        f"wrong effect, too. Once it is confirmed: {command}."
     )
 
 

@@ -18,8 +18,8 @@ _SHOWN_MISSES = 3
 _EXACT = 0.005
 """Gap in JND that is printed as 0.00."""
 _USED = (
-    "Matched: alpha is calibrated to it. Held out: neither alpha nor the effect is fitted to it. No "
-    "mark: the effect alone is fitted to it."
+    "Matched: alpha is calibrated to it. Held out: neither alpha nor the effect is fitted to it. "
+    "Without a mark: the effect is fitted to it, alpha is not."
 )
 """What the rows of a table of means are marked by."""
 _MET = 2.0
@@ -53,8 +53,10 @@ def _as_compared(v: Verification) -> tuple[str, str]:
         run = "in the second run and " * bool(v.again.size)
         return f"{run}averaged over pairs to which it was not fitted, ", ""
     if not v.runs:
-        why = "With an effect of this size, no coefficients near the input give the measured T"
-        return "", f". {why}"
+        why = (
+            "Coefficients that give the measured T would be too far from the input for their sigma"
+        )
+        return "even with calibrated coefficients, ", f". {why}"
     scaled = v.models[1] not in v.runs
     return f"in the second run{', scaled to the measured T by the equation' * scaled}, ", ""
 
@@ -95,10 +97,11 @@ def sentence(v: Verification) -> str:
         found = "what was found" if v.contained is None else v.contained.title
         found = found if v.corrected is None else name_of(v.finding, _verified(v).effect)
         by = with_uncertainty(abs(v.gain), v.uncertainty, 2)
+        required = f"; required: more than {v.needed:.2f} JND" if supported else ""
         gain = (
             f"{again}adding {found} to the model {verb} the mean deviation at data that were not "
-            f"fitted ({', '.join(v.held_out)}) from {v.before:.2f} to {v.after:.2f} JND (by {by} JND, "
-            f"standard error{f'; required: more than {v.needed:.2f} JND' if supported else ''})."
+            f"fitted ({', and '.join(v.held_out)}) from {v.before:.2f} JND without it to "
+            f"{v.after:.2f} JND with it (by {by} JND, standard error{required})."
         )
         measured = [
             _as_simulated(v),
