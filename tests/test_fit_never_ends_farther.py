@@ -256,7 +256,7 @@ def test_a_t_that_the_prior_cannot_explain_is_said_first_and_not_bent_into_scatt
     room = stated(PRIORS["tight"])
     data = measured("paths", np.clip(factor * ALPHA, 0.02, 0.9))
     result = fit("paths", room, data)
-    first = " ".join(str(result).split()).split(". ")[0]
+    first = " ".join(" ".join(str(result).split()).split(". ")[:3])
     assert first.startswith(
         "The input coefficients and their sigma cannot explain the measured T20"
     )

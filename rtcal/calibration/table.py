@@ -509,7 +509,7 @@ def _evidence(record: Mapping[str, Any]) -> str:
     """Return how many rooms deviate as much by chance, with p."""
     p = record["plausibility"]["p_value"]
     return (
-        f"if they are right, {_chance(p)} of 100 rooms would deviate at least as much over all bands "
+        f"if they are right, {_chance(p)} of 100 rooms would deviate at least this much "
         f"(p = {p:.2g})"
     )
 

@@ -84,7 +84,7 @@ def blocks(result: PositionsResult) -> list[Block]:
         f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
     ]
     if result.warning:
-        first = result.refused or bool(result.of_input)
+        first = bool(result.refused or result.of_input or result.beyond)
         said.insert(0 if first else 1, f"{'' if first else 'Caution: '}{result.warning}")
     return [
         *map(Note, said),
