@@ -37,7 +37,7 @@ def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, in
 def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: str) -> None:
     said = record_of_means(verdict, data)
     assert "tested in simulated rooms that were not used to develop it" in said
-    assert data.replace(", C80", ", or C80") in said
+    assert data.replace(", C80", " or with C80") in said
     record = record_of("means", data)
     if (right := record.get(verdict)) is not None:
         assert re.search(rf"\b{right.count} of {right.of} [^,]* \({interval(right)}\)", said)

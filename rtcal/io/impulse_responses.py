@@ -173,8 +173,8 @@ class Floor(Enum):
     """List the reasons that limit a decay's level range, as sentences with a place for it in dB."""
 
     NOISE = "The decay falls by {} dB before the noise begins."
-    CUT = "The response ends after a decay of {} dB, before its noise: record for longer."
-    END = "The response ends after a decay of {} dB, in noise or before it: record for longer."
+    CUT = "The decay falls by only {} dB before the response is cut off. Record for longer."
+    END = "The decay falls by only {} dB before the response ends. Record for longer, or louder."
     FLAT = "The decay begins less than 10 dB above the end of the response (noise, or a cut decay)."
     SHORT = "The response is silent or shorter than 50 ms."
     UNSTEADY = "The sound before its stop is no steady noise in this band."

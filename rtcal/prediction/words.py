@@ -84,8 +84,8 @@ CALIBRATED_BEFORE = (
     "calibration, and the measurement."
 )
 GIVEN = (
-    "The interval of T after the change leaves out the uncertainty of the T that was measured before; "
-    "the table has it."
+    "The T measured before the change has an uncertainty of its own (in the table). The interval of T "
+    "after the change does not contain it, so the real uncertainty is larger."
 )
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "

@@ -1014,7 +1014,7 @@ def _flagged(share: Share) -> str:
 def _in_rooms(data: str, *counts: str, version: str = "`find`") -> str:
     """Return a sentence with counts in simulated rooms that were not used to make the finder."""
     return (
-        f"{version} was tested in simulated rooms that were not used to develop it ({data}): "
+        f"{version} was tested in simulated rooms that were not used to develop it, with {data}: "
         f"{', and '.join(counts)}."
     )
 
@@ -1061,7 +1061,7 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     return f"{first}{once}{rest.replace(f', {_OF_INTERVAL}', '')}"
 
 
-_SEVERAL_DATA = "several configurations, or C80 or G"
+_SEVERAL_DATA = "data of several configurations or with C80 or G"
 """`rtcal.finder.records.ALL` as a sentence says it."""
 
 

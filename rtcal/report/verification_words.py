@@ -98,10 +98,11 @@ def sentence(v: Verification) -> str:
         found = found if v.corrected is None else name_of(v.finding, _verified(v).effect)
         by = with_uncertainty(abs(v.gain), v.uncertainty, 2)
         required = f"; required: more than {v.needed:.2f} JND" if supported else ""
+        of = "" if v.finding.kind == "states" else "calibrated "
         gain = (
             f"{again}adding {found} to the model {verb} the mean deviation at data that were not "
-            f"fitted ({', and '.join(v.held_out)}) from {v.before:.2f} JND without it to "
-            f"{v.after:.2f} JND with it (by {by} JND, standard error{required})."
+            f"fitted ({', and '.join(v.held_out)}) from {v.before:.2f} JND ({of}without it) to "
+            f"{v.after:.2f} JND ({of}with it), by {by} JND (standard error{required})."
         )
         measured = [
             _as_simulated(v),
