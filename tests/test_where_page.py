@@ -98,6 +98,7 @@ MEASURED = rt.Measurement(
     values={"t20": np.full((6, 2), 1.2), "edt": np.full((6, 2), 1.1)},
 )
 PAIRS = SimpleNamespace(
+    kind="positions",
     pairs=SIX,
     parameters=("t20", "edt"),
     likeliest=None,
