@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from msgspec import structs
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
@@ -825,10 +824,11 @@ def read_variants(
 
 def _rule(prior: PriorTable | None) -> SigmaRule | None:
     """Return the rule for sigma of what a file brings in; None if it states none."""
-    stated = {} if prior is None else structs.asdict(prior)
-    if stated.pop("band_correlation", 0.0):
+    if prior is None:
+        return None
+    if prior.band_correlation:
         raise DataError("prior.band_correlation belongs to the room's file: leave it out here")
-    return SigmaRule(**stated) if stated else None
+    return prior.rule
 
 
 def _new_materials(

@@ -1443,8 +1443,6 @@ class Room:
                 )
         of_all = file.area_sigma
         area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
-        rule = {} if file.prior is None else msgspec.structs.asdict(file.prior)
-        band_correlation = rule.pop("band_correlation", 0.0)
         alike = {*RoomFile.__struct_fields__} & {f.name for f in fields(cls)} | {"above_one"}
         stated = {key: getattr(file, key) for key in alike - {"sources", "area_sigma"}}
         return cls.from_surfaces(
@@ -1455,9 +1453,9 @@ class Room:
             ],
             materials=file.material,
             objects=file.object,
-            prior=SigmaRule(**rule) if rule else None,
+            prior=None if file.prior is None else file.prior.rule,
             scene=Scene.of(file),
-            band_correlation=band_correlation,
+            band_correlation=0.0 if file.prior is None else file.prior.band_correlation,
             material_correlation={c.materials: c.value for c in file.correlation},
             area_sigma=area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
         )
@@ -1694,6 +1692,13 @@ class PriorTable(FileTable):
     iso_12999_2: bool = False
     in_situ_factor: Number = 1.0
     band_correlation: Number = 0.0
+
+    @property
+    def rule(self) -> SigmaRule:
+        """The rule, which has no correlation."""
+        stated = msgspec.structs.asdict(self)
+        del stated["band_correlation"]
+        return SigmaRule(**stated)
 
 
 class SurfaceTable(FileTable):

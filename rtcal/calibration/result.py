@@ -705,11 +705,6 @@ class CalibrationResult(Result):
         return read_only_view(where_valid(self.equation.air_share, self.prior, area))
 
     @cached_property
-    def directions(self) -> Array:
-        """Shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown."""
-        return read_only_view(directions(self.prior))
-
-    @cached_property
     def doubts(self) -> tuple[TrustMark, ...]:
         """Cautions about the input: likely typing errors of the room and of T."""
         return of_input(self.prior, self.measured, self.measured_data.mistyped)
@@ -718,7 +713,7 @@ class CalibrationResult(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Cautions about single bands or the whole room, with advice; `doubts` first."""
         calibrated = self.prior.replace(alpha=self.alpha)
-        uneven = uneven_marks(calibrated, self.directions)
+        uneven = uneven_marks(calibrated, directions(self.prior))
         for _, likely in likely_slips(self.prior)[:1]:
             uneven = uneven or uneven_marks(likely, facing(likely))
         return (
@@ -808,7 +803,6 @@ class CalibrationResult(Result):
             log_uncertainty=own.log_uncertainty,
             others=tuple(states),
             doubts=self.doubts,
-            shares=self.directions,
         )
 
     def predict(

@@ -89,7 +89,9 @@ def materials(
     return [
         {
             "name": name,
-            **({"area": float(prior.areas[i])} if prior.is_surface[i] else _piece(prior, i)),
+            # Of pieces the number, by which their alpha, in m² per piece, counts as by an area.
+            "area": float(prior.areas[i]),
+            **({} if prior.is_surface[i] else {"piece": True}),
             "source": prior.sources.get(name, ""),
             **entries[i],
             "alpha_min": None if prior.alpha_min is None else json_numbers(prior.alpha_min[i]),
@@ -99,11 +101,6 @@ def materials(
         }
         for i, name in enumerate(prior.materials)
     ]
-
-
-def _piece(prior: Room, i: int) -> dict[str, Any]:
-    """Return the number of pieces, by which their alpha, in m² per piece, counts as by an area."""
-    return {"area": float(prior.areas[i]), "piece": True}
 
 
 def coefficients(
@@ -273,9 +270,14 @@ def _known(record: Mapping[str, Any]) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(numbers(record["measured"]["reverberation_time"])))
 
 
+def _shares(record: Mapping[str, Any]) -> Array:
+    """Return the shares of `absorption_share`, (n_shares, n_bands)."""
+    return np.array([numbers(one["share"]) for one in record["absorption_share"]])
+
+
 def share_rows(record: Mapping[str, Any]) -> list[Row]:
     """Return rows with the shares of `absorption_share` in %."""
-    shares = np.array([numbers(one["share"]) for one in record["absorption_share"]])
+    shares = _shares(record)
     rows = zip(record["absorption_share"], whole_percents(shares), shares, strict=True)
     return [Row(one["name"], of, ".0f", np.nan_to_num(share)) for one, of, share in rows]
 
@@ -300,7 +302,7 @@ def whole_percents(shares: Array) -> Array:
 
 def _shares_in_words(record: Mapping[str, Any]) -> str:
     """Return the mean and the range of each share over the measured bands, the largest first."""
-    shares = np.array([numbers(one["share"]) for one in record["absorption_share"]])
+    shares = _shares(record)
     known = _known(record)
     shares = shares[:, np.isfinite(shares).all(axis=0) & known]
     seen = (100 * shares).max(axis=1, initial=0.0) >= _LEAST_SHARE

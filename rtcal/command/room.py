@@ -307,11 +307,7 @@ class _Materials:
                 f"{place}: {error}. Give another name, or alpha by band instead, such as "
                 '"0.1 0.2 0.3 0.3 0.4 0.4"'
             ) from error
-        if len(near) == 1 and near[0] == name:
-            return entries[name]
-        others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
-        self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")
-        return replace(entries[near[0]], name=name)
+        return replace(entries[self._taken(name, near)], name=name)
 
     def piece(self, name: str, number: float) -> Piece:
         """Return pieces by what people call them; DataError for a name that is like none."""
@@ -324,10 +320,15 @@ class _Materials:
                 f"--object: {error}. `rtcal materials` lists all pieces; own values go into the "
                 "room's file, as [[object]] with name, number, area_per_piece and sigma"
             ) from error
-        if near[0] != name:
-            others = f"; similar names are {', '.join(near[1:])}" if near[1:] else ""
-            self.notes.append(f"For {name} the catalogue's {near[0]} was taken{others}")
-        return replace(catalogue.piece(near[0], number, self.bands), name=name)
+        return replace(catalogue.piece(self._taken(name, near), number, self.bands), name=name)
+
+    def _taken(self, name: str, near: list[str]) -> str:
+        """Return the first of the entries that resemble a name, with a note if its name is another."""
+        entry, *others = near
+        if entry != name:
+            similar = f"; similar names are {', '.join(others)}" if others else ""
+            self.notes.append(f"For {name} the catalogue's {entry} was taken{similar}")
+        return entry
 
 
 @click.command(short_help="The catalogue of materials and pieces, with their sources.")

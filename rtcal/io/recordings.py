@@ -397,14 +397,11 @@ def interrupted(
         notes[0] += "; ISO 3382-2 asks for 2 (engineering method) or 3 (precision method)"
     notes.insert(1, _OF_UNCERTAINTY)
     analysis = ir.assembled([*by_place], found, centres, needed, notes)
-    uncertainty = {
-        p: np.fmax(np.array(spreads)[..., i], _theory(p, centres, analysis, counts))
-        for i, p in enumerate(needed)
-    }
-    uncertainty = {
-        p: np.where(np.isfinite(analysis.measurement.values[p]), u, np.nan)
-        for p, u in uncertainty.items()
-    }
+    of_stops, values = np.array(spreads), analysis.measurement.values
+    uncertainty = {}
+    for i, p in enumerate(needed):
+        u = np.fmax(of_stops[..., i], _theory(p, centres, analysis, counts))
+        uncertainty[p] = np.where(np.isfinite(values[p]), u, np.nan)
     return replace(analysis, measurement=replace(analysis.measurement, uncertainty=uncertainty))
 
 

@@ -339,8 +339,8 @@ def _covariance(
         times = np.where(np.isfinite(times), times, kind.decay_time(measured.mean(name)))
     times = np.where(np.isfinite(times), times, 1.0)
     assumed = _COMMON * np.array([observable(p).between_teams(frequencies) for p in parameters])
-    alone = _stated(observations, measured, measured.uncertainty)
-    common = _stated(observations, measured, measured.common_uncertainty)
+    alone = stated_uncertainty(observations, measured, measured.uncertainty)
+    common = stated_uncertainty(observations, measured, measured.common_uncertainty)
     if (small := alone < _LEAST).any():
         p, i, k = np.argwhere(small)[0]
         raise DataError(
@@ -376,7 +376,7 @@ def _covariance(
     return np.asarray(full.reshape(size, size)[np.ix_(used, used)])
 
 
-def _stated(
+def stated_uncertainty(
     observations: Observations, measured: Measurement, uncertainty: Mapping[str, Array]
 ) -> Array:
     """Return stated standard uncertainties in the observations' units and shape; NaN where none is."""

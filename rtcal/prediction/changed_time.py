@@ -51,7 +51,7 @@ from rtcal.acoustics.room_errors import (
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.normal import NORMAL, symmetric_root, truncated_normal
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 Flags = NDArray[np.bool_]
 
@@ -104,17 +104,11 @@ class KnownRoom:
     )
     others: tuple[MeasuredState, ...] = ()  # further measured states
     doubts: tuple[TrustMark, ...] = ()  # those of the input, of `rtcal.acoustics.marks.of_input`
-    shares: Array | None = None  # directions (n_materials, 3); None for those of the room
 
     @property
     def n_measured(self) -> int:
         """Number of states of the room in which T was measured."""
         return int(self.measured.any()) + len(self.others)
-
-    @cached_property
-    def directions(self) -> Array:
-        """Shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown."""
-        return directions(self.room) if self.shares is None else self.shares
 
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
@@ -139,16 +133,17 @@ class KnownRoom:
         )
 
 
+@functools.lru_cache(16)  # a mesh is read once for a calibration and all its predictions
 def directions(room: Room) -> Array:
     """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
 
     They are those of the room's mesh, and without a mesh those of `rtcal.acoustics.changes.facing`.
     """
     if room.scene.mesh is None:
-        return facing(room)
+        return read_only_view(facing(room))
     from rtcal.io import geometry_files  # loads the simulators, which takes a while
 
-    return geometry_files.directions(room)
+    return read_only_view(geometry_files.directions(room))
 
 
 def correlation_of(covariance: Array) -> tuple[Array, Array]:
@@ -528,7 +523,7 @@ class TimeChange:
 
 @functools.lru_cache(16)
 def _before(known: KnownRoom) -> Placed:
-    return placed(known.room, (), shares=known.directions)
+    return placed(known.room, (), shares=directions(known.room))
 
 
 def _rooms(known: KnownRoom) -> list[Room]:

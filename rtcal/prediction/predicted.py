@@ -31,6 +31,7 @@ from rtcal.prediction.changed_time import (
     KnownRoom,
     TimeChange,
     Unknowns,
+    directions,
     normal_of,
     probability_within,
 )
@@ -264,7 +265,6 @@ class Prediction(TimeChange, Result):
     def uncalibrated(self) -> Prediction:
         """Same prediction from the input coefficients alone, without any measurement."""
         known = KnownRoom.stated(self.before, self.known.equation)
-        known = replace(known, shares=self.known.directions)
         return replace(self, known=known, simulated=None)
 
     def probability(self, low: Array, high: Array) -> Array:
@@ -493,7 +493,7 @@ def predict(
         state=placed(
             room_known.room,
             changes if isinstance(changes, Room) else made,
-            shares=room_known.directions,
+            shares=directions(room_known.room),
         ),
         changes=made,
         assumptions=assumptions or Assumptions(),

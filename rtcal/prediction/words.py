@@ -150,7 +150,8 @@ def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]
 
 
 _UNEVEN = "Caution: the absorption is uneven after the change"
-_NEXT = "Next: to narrow the interval, "
+_STEP = "Next:"
+_NEXT = f"{_STEP} to narrow the interval, "
 _CALIBRATION = "Calibration "
 _JOINED = (_UNEVEN, _CALIBRATION, _NEXT)
 """Beginnings of the sentences that end with values after a colon, which `joined` joins."""
@@ -187,7 +188,7 @@ def in_order(sentences: Sequence[str]) -> list[str]:
     >>> in_order(["Next: measure.", "Caution: uneven.", "T falls."])
     ['T falls.', 'Caution: uneven.', 'Next: measure.']
     """
-    return sorted(sentences, key=lambda s: s.startswith("Caution") + 2 * s.startswith(_NEXT[:5]))
+    return sorted(sentences, key=lambda s: s.startswith("Caution") + 2 * s.startswith(_STEP))
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:

@@ -98,7 +98,13 @@ from rtcal.finder.positions.weighing import (
 )
 from rtcal.loop.measured_pairs import COMMON as OF_ROOM
 from rtcal.loop.measured_pairs import OWN as OF_MATERIAL
-from rtcal.loop.measured_pairs import ControlRuns, MaterialScattering, Pair, pairs_to_match
+from rtcal.loop.measured_pairs import (
+    ControlRuns,
+    MaterialScattering,
+    Pair,
+    pairs_to_match,
+    stated_uncertainty,
+)
 from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.normal import symmetric_root
@@ -921,7 +927,8 @@ class PositionsProblem:
             1 if case.simulated is None else 2,
         )
         if case.simulated is not None:
-            error[np.diag_indices_from(error)] += _of_run(case.simulated, wanted).ravel() ** 2
+            of_run = stated_uncertainty(wanted, case.simulated, case.simulated.uncertainty)
+            error[np.diag_indices_from(error)] += np.nan_to_num(of_run).ravel() ** 2
         self.simulator_error = reordered(error, stated.shape) * scales
         step = STEP * (1 - np.minimum(room.alpha, LARGEST_ALPHA).T)  # (n_bands, n_materials)
         by_alpha = shifted("materials") / step[:, np.newaxis]
@@ -962,18 +969,6 @@ class PositionsProblem:
 
         off = [of((scale**2 - 1) * common) for scale, _ in SCALES]
         return of(0.0), off, [of((scale - 1) * error) for scale in UNKNOWN_SCALES]
-
-
-def _of_run(run: Measurement, like: Observations) -> Array:
-    """Return the uncertainties that a run's table states, in the shape of ``like``; 0 without any."""
-    rows = [run.pairs.index(pair) for pair in like.pairs]
-    stated = np.zeros(like.values.shape)
-    for p, name in enumerate(like.parameters):
-        key = observable(name).key_in(run.values)
-        if key in run.uncertainty:
-            each = run.uncertainty[key][rows]
-            stated[p] = observable(name).of_observed(each, run.values[key][rows])
-    return np.nan_to_num(stated)
 
 
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:
