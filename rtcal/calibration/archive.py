@@ -70,7 +70,11 @@ _STEP = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Spread:
-    """Standard deviations of coefficients within and between rooms, found by marginal likelihood."""
+    """Hold how much coefficients differ from their handbook values and between rooms.
+
+    Five numbers are standard deviations and one is a correlation. `learn` fits them to the T of all
+    rooms by maximum marginal likelihood with a weak prior.
+    """
 
     table: float
     between: float
@@ -117,7 +121,13 @@ class RoomData:
 
 
 class Evidence:
-    """Absorption areas of all rooms that T needs, and their covariance in the model of this module."""
+    """Compute from the T of several rooms how wrong handbook values are, by a linear normal model.
+
+    The data are the absorption areas that the measured T of all rooms need, one row for each room,
+    configuration and band with a T. The model is described at the head of this module. ``rooms`` has
+    the data of each room, ``mu`` and ``sigma`` (n_materials, n_bands) are the handbook coefficients and
+    their standard deviations, and ``octaves`` (n_bands,) is log2 of the centre frequencies in Hz.
+    """
 
     def __init__(self, rooms: Sequence[RoomData], mu: Array, sigma: Array, octaves: Array) -> None:
         self.mu, self.sigma, self.rooms, self.octaves = mu, sigma, rooms, octaves
@@ -142,7 +152,12 @@ class Evidence:
         return Evidence, (self.rooms, self.mu, self.sigma, self.octaves)
 
     def covariance(self, spread: Spread) -> Array:
-        """Return the covariance of the rooms' absorption areas about those of the input, in m⁴."""
+        """Return the covariance of the absorption areas in m⁴, (n_rows, n_rows), for a given spread.
+
+        The covariance is about the absorption areas by handbook values, and contains the errors of
+        handbook values, rooms, equation, T and geometry. There is one row for each room, configuration
+        and band.
+        """
         shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
         together = np.outer(self.expected, self.expected)
         common = spread.table**2 * shared + spread.together**2 * together
@@ -163,12 +178,12 @@ class Evidence:
         return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
 
     def plausible(self, spread: Spread) -> list[Spread]:
-        """Return twelve equally weighted spreads that represent the uncertainty of the fitted spread.
+        """Return twelve equally weighted spreads that represent the uncertainty of the fitted one.
 
-        ``spread`` is the fitted one, as `fitted` returns it: six numbers, of which five are standard
-        deviations within and between rooms. Their posterior density is approximated by a normal density
-        with the same curvature. Two spreads lie along each axis of this density, so that the twelve
-        have its mean and covariance (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
+        ``spread`` is the fitted one, as `fitted` returns it. The posterior density of its six numbers
+        is approximated by a normal density with the same curvature. Two spreads lie on each of the six
+        axes of this density, so that the twelve have its mean and covariance (Julier & Uhlmann 1997,
+        Proc. SPIE 3068, Eq. 12).
         """
         centre, size = _point(spread), len(_CENTRE)
         steps = _STEP * np.eye(size)
@@ -201,10 +216,10 @@ class Evidence:
     def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Return mean and covariance of the coefficients that rooms have in common, given the rooms' T.
 
-        The coefficients are handbook values plus the errors that these values have in all rooms. Their
-        means are (n_materials, n_bands); their covariance has n_materials * n_bands rows and columns.
-        ``spread`` has the standard deviations within and between rooms. ``rows`` (n_data,) is True for
-        each datum that is used: the absorption area of one room, configuration and band.
+        These coefficients are the handbook values plus the errors that the values have in all rooms.
+        Their means are (n_materials, n_bands); their covariance has n_materials * n_bands rows and
+        columns. ``spread`` has the standard deviations of the model. ``rows`` (n_rows,) is True for the
+        absorption areas that are used; there is one for each room, configuration and band with a T.
         """
         n, k = self.mu.shape
         correlation = self.correlation(spread)
@@ -220,13 +235,21 @@ class Evidence:
         return mean.reshape(n, k), prior - cross @ cho_solve(factor, cross.T)
 
     def together(self, spread: Spread) -> tuple[float, float]:
-        """Return mean and variance of the relative error h that all tables have in common."""
+        """Return mean and variance of the relative error that all handbook coefficients have in common.
+
+        Both are numbers, given the T of all rooms. ``spread`` has the standard deviations of the model.
+        """
         cross = spread.together**2 * self.expected
         gain = cho_solve(cho_factor(self.covariance(spread), lower=True), cross)
         return float(gain @ self.miss), float(spread.together**2 - gain @ cross)
 
     def matrix(self, areas: Array, band: NDArray[np.int_]) -> Array:
-        """Return the areas in m² by row of the data and coefficient, (n_rows, n_materials n_bands)."""
+        """Return the matrix by which coefficients, (n_materials * n_bands,), give absorption areas.
+
+        The matrix has one row for each room, configuration and band, and is in m². ``areas`` (n_rows,
+        n_materials) are the areas of the materials in m², and ``band`` (n_rows,) is the number of the
+        band.
+        """
         out = np.zeros((len(areas), *self.mu.shape))
         out[np.arange(len(out)), :, band] = areas
         return out.reshape(len(out), -1)
@@ -234,7 +257,7 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True)
 class Lesson:
-    """Contribution of one room to the archive, and its agreement with the other rooms."""
+    """Hold what one room contributed to the archive, and how well its T agrees with the other rooms."""
 
     room: str
     factor: float
@@ -250,7 +273,7 @@ class Lesson:
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """Material of a room that is probably another material than its name says."""
+    """Name a material of one room that is probably another material than its name says."""
 
     room: str
     material: str
@@ -262,7 +285,12 @@ class Suspect:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Archive(Result):
-    """Coefficients of the materials that calibrated rooms share, as `rtcal.learn` returns them."""
+    """Hold coefficients of materials that occur in several calibrated rooms (`rtcal.learn`).
+
+    `apply` gives these coefficients to another room. ``alpha`` and ``sigma`` are the learned
+    coefficients, ``table`` and ``table_sigma`` the rooms' input, (n_materials, n_bands) each;
+    ``lessons`` has what each room contributed, and ``suspects`` the materials that are likely misnamed.
+    """
 
     record_kind: ClassVar[str] = "archive 1"
 
@@ -310,12 +338,14 @@ class Archive(Result):
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
         """Return a room with the archive's coefficients and sigmas for the materials that it has.
 
-        The coefficients of a material that is not in the archive are multiplied by the factor that all
-        handbook values have in common, unless they are exact or from an archive. A material whose input
-        differs too much from the archive's keeps its input, unless it is in ``names``. Bands that
-        the archive lacks do not change. ``common_alpha_sigma`` of the room becomes the standard
-        deviation between rooms, and coefficients are at least ``alpha_min``. A later calibration of the
-        room to T from which the archive was learned raises an error.
+        Only materials of the same name take the archive's coefficients. If their input differs from the
+        archive's by more than one standard deviation of the difference (rms over the bands), they count
+        as another material and keep their input, unless they are in ``names``. The coefficients of a
+        material that is not in the archive are multiplied by 1 + ``together``, because all handbook
+        values have this relative error in common; those with a sigma of 0 are not. Bands that the
+        archive does not have do not change. The room's ``common_alpha_sigma`` becomes ``room_sigma``,
+        and its ``alpha_min`` still holds. A later calibration of the room to a T from which the archive
+        was learned raises an error, because this T would count twice.
 
         Parameters
         ----------
@@ -323,14 +353,14 @@ class Archive(Result):
             Room that is not calibrated yet.
         names : mapping of str to str, optional
             Name in the archive for each material of the room that has another name there, or that must
-            take the archive's coefficients although they differ much from its own. By default the
-            names in room and archive are the same.
+            take the archive's coefficients although they differ much from its own. By default the names
+            in room and archive are the same.
 
         Raises
         ------
         DataError
             If the archive has no material or no band of the room, ``names`` has an unknown name, or the
-            archive's rooms differ too much to predict the next.
+            archive's rooms differ too much to predict the next (``room_sigma`` of 1 or more).
         """
         checks.instance("room", room, Room).refuse_pieces("an archive")
         known, moved, columns = self._places(room, names)
@@ -380,11 +410,11 @@ class Archive(Result):
         )
 
     def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        """Return sentences on the materials and bands of a room that `apply` does not change.
+        """Return sentences that name the materials and bands of a room that `apply` does not change.
 
-        ``room`` and ``names`` are as for `apply`: a room that is not calibrated yet, and the archive's
-        name for each material of the room that has another name there; None if all names are the same.
-        Raises DataError if ``names`` has an unknown name.
+        ``room`` and ``names`` are those of `apply`: a room that is not calibrated yet, and the
+        archive's name for each material of the room that has another name there; None if all names are
+        the same. Raises DataError if ``names`` has an unknown name.
         """
         known, moved, columns = self._places(room, names)
         left = [i for i in range(room.n_materials) if i not in known and i not in moved]
@@ -445,12 +475,15 @@ class Archive(Result):
 
     @property
     def off(self) -> Array:
-        """Relative deviation (alpha - table) / table of each coefficient from the input; NaN for 0."""
+        """Relative change (alpha - table) / table from the input to the learned coefficient.
+
+        The shape is (n_materials, n_bands), with NaN where the input coefficient is 0.
+        """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(self.table > 0, self.alpha / self.table - 1, np.nan)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return materials, contributions of rooms and likely misnamed materials as plain values."""
+        """Return the archive as plain lists and numbers: materials, rooms and likely wrong names."""
         return {
             "centre_frequencies": json_numbers(self.centre_frequencies),
             "materials": [

@@ -172,7 +172,14 @@ class Composition:
         measured: Sequence[MeasuredTimes],
         observed: Mapping[LinearObservations, Observed] | None = None,
     ) -> Numbers:
-        """Return the numbers of a solve; DataError where priors, bounds or data break a rule."""
+        """Return the values of room and measurement in the order of the unknowns, ready to be solved.
+
+        ``measured`` has the measured T of each configuration. ``observed`` has the measured values of
+        each term for linear observations (`LinearObservations`); None if the objective has no such
+        term. Raises DataError if bounds contradict each other or exclude a coefficient with sigma = 0,
+        if materials with shared coefficients have different input values, or if ``observed`` does not
+        fit the terms.
+        """
         configurations, layout, equation = self.configurations, self.layout, self.equation
         room = configurations.union
         alpha, sigma = room.alpha, room.sigma

@@ -29,10 +29,12 @@ primal residual that an answer may have."""
 
 @dataclass(frozen=True)
 class Unreachable:
-    """Band whose measured T no coefficients within the bounds can give.
+    """Describe a band whose measured T no coefficients within their bounds can give.
 
-    ``target`` is the absorption area in m² that T requires, NaN if no area has this T. The bounds allow
-    absorption areas from ``lowest`` to ``highest`` in m² and T from ``shortest`` to ``longest`` in s.
+    ``target`` is the absorption area in m² that T requires, NaN if no area gives this T. The bounds
+    allow absorption areas from ``lowest`` to ``highest`` in m² and T from ``shortest`` to ``longest``
+    in s. ``configuration`` is the number of the measured state, from 0, and ``frequency`` the centre
+    frequency in Hz.
     """
 
     configuration: int
@@ -59,11 +61,11 @@ class Unreachable:
 def where_valid(
     quantity: Callable[[Room, Array], Array], room: Room, absorption_area: Array
 ) -> Array:
-    """Return T in s or the air's share of absorption per band, NaN where the equation does not hold.
+    """Return T in s, or the air's share of absorption, (n_bands,), and NaN where the equation fails.
 
     ``quantity`` is the method that calculates the value: `LinearEquation.time` or
     `LinearEquation.air_share`. ``absorption_area`` (n_bands,) is that of the surfaces of ``room`` in
-    m². The values are (n_bands,).
+    m². Some equations hold only up to a largest absorption area; a band above it is NaN.
     """
     try:
         return quantity(room, absorption_area)
@@ -76,10 +78,11 @@ def where_valid(
 
 
 def reach(numbers: Numbers) -> tuple[Array, Array]:
-    """Return the least and the largest absorption area in m² that the bounds of the unknowns allow.
+    """Return the least and the largest absorption area in m² that the bounds of the coefficients allow.
 
-    Each is (n_configurations, n_bands). Absorption that an effect adds counts with the bounds of the
-    effect's size. ``numbers`` are the values of room and measurement of a solve.
+    Each is (n_configurations, n_bands). ``numbers`` has the values of room and measurement, with the
+    bounds. If the calibration also fits the sizes of effects (`rtcal.terms.AddedAbsorption`), the
+    absorption that they add within their own bounds is included.
     """
     lower, upper = numbers.box
     least = numbers.areas @ numbers.alpha(lower)
@@ -97,17 +100,33 @@ def reach(numbers: Numbers) -> tuple[Array, Array]:
 def restrict_to_reach(
     numbers: Numbers, matches: Sequence[tuple[Array, Array]], unreachable: str
 ) -> tuple[Numbers, NDArray[np.int8], tuple[Unreachable, ...]]:
-    """Check whether coefficients can reach every matched T, and return numbers that can be solved.
+    """Check which measured T can be reached, and move those out of reach to the nearest possible value.
 
-    The first of the three results is ``numbers``, the values of room and measurement, with each
-    unreachable absorption area b replaced by the nearest reachable one. The second (size,) is -1 or 1
-    for an unknown that must be at its lower or upper bound, because b is at an end of the reachable
-    range, and 0 for all other unknowns. The third has the unreachable bands.
+    Parameters
+    ----------
+    numbers : Numbers
+        Values of room and measurement, with the absorption area ``target`` that each T needs.
+    matches : sequence of pairs of arrays
+        Least and largest absorption area in m² that each constraint on T allows, (n_configurations,
+        n_bands) each. If it is empty, only a T shorter than that of full absorption is an error.
+    unreachable : {"raise", "nearest"}
+        Whether a T out of reach is an error, or is replaced by the nearest one.
 
-    Each item of ``matches`` has the least and the largest absorption area in m² that one constraint on
-    T allows, (n_configurations, n_bands) each. ``unreachable`` is "raise" or "nearest": with "raise" an
-    unreachable band raises InfeasibleError, which has the bands. If ``matches`` is empty, the error is
-    also raised for a T shorter than that of full absorption.
+    Returns
+    -------
+    numbers : Numbers
+        The same values, with ``target`` moved into the reachable range.
+    held : array (size,)
+        -1 or 1 for an unknown that must be at its lower or upper bound, because the target is at an end
+        of the reachable range; 0 for the others.
+    bands : tuple of Unreachable
+        Bands whose T cannot be reached.
+
+    Raises
+    ------
+    InfeasibleError
+        If a T cannot be reached and ``unreachable`` is "raise"; if T is shorter than with full
+        absorption; or if the least absorption that the bounds allow is too large for the equation.
     """
     times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
     none_held = np.zeros(numbers.layout.size, dtype=np.int8)
@@ -193,10 +212,11 @@ _NOTHING = 1e-9
 def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     """Raise InfeasibleError, with the smallest change that helps, if constraints contradict each other.
 
-    Without a contradiction nothing happens. The change relaxes constraints and bounds so that the sum
-    of the relaxations, in absorption coefficients, is least (elastic linear programme, Chinneck 2008,
-    ch. 6). The limits 0 <= alpha <= 1 and fixed unknowns are not relaxed. ``numbers`` are the values of
-    room and measurement, and ``program`` is the quadratic programme that has no solution.
+    The message names the constraints and bounds to relax, and by how much. The sum of these
+    relaxations, each as a change of absorption coefficients, is the least possible (elastic linear
+    programme, Chinneck 2008, ch. 6). The limits 0 <= alpha <= 1 and fixed coefficients are not relaxed.
+    ``numbers`` has the values of room and measurement, and ``program`` is the quadratic programme that
+    no solver could solve. If no contradiction is found, nothing is raised.
     """
     from scipy.optimize import linprog
 

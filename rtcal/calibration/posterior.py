@@ -104,29 +104,36 @@ class Posterior:
 def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior:
     """Return the probability distribution of a calibration's coefficients, given the measurement.
 
-    Before the measurement, coefficients are normal with the room's sigma, cut at their bounds. The
-    error of the absorption area that T needs is normal with its standard uncertainty, 0 where unknown.
-    With an exact match, T alone determines the absorption area, and the input determines how the
-    materials share it. With a soft match, T and the input both determine the absorption area.
+    Before the measurement, each coefficient has a normal distribution with the room's alpha and sigma,
+    cut at its bounds. The absorption area that the measured T needs has a normal error, whose standard
+    deviation follows from the uncertainty of T; an unknown uncertainty counts as 0. If the calibration
+    matches T exactly, T alone determines the absorption area, and the input only determines how the
+    materials share it. With a soft match (`rtcal.terms.SoftMatch`), T and the input both determine the
+    absorption area.
 
     Parameters
     ----------
     result : CalibrationResult or JointResult
         Calibration whose coefficients have this distribution.
     n_samples : int
-        Number of samples to return, from at least as many random draws.
+        Number of samples in the result, at least 2.
     seed : int
-        Seed of the random draws; the same seed gives the same samples.
+        Seed of the random numbers, at least 0; the same seed gives the same samples.
+
+    Returns
+    -------
+    Posterior
+        Means, standard deviations, quantiles and random samples of the coefficients.
 
     Raises
     ------
     ModelError
-        If the method has no probability distribution: one sigma for all (`lse`) or a `HuberDeviation`
-        (`robust`).
+        If the method has no probability distribution: one sigma for all coefficients (``method="lse"``)
+        or a `HuberDeviation` (``method="robust"``).
     SolverError
         If no coefficients within the constraints were found.
     DataError
-        If ``n_samples`` is no whole number of at least 2, or ``seed`` none of at least 0.
+        If ``n_samples`` or ``seed`` is not such a number.
 
     Examples
     --------
@@ -161,7 +168,12 @@ def distribution(result: Any, n_samples: int = 1024, seed: int = 0) -> Posterior
 
 
 def quantiles(layout: Any, density: Density, parts: Sequence[Draws]) -> Array:
-    """Return quantiles of the coefficients at the values `NORMAL`, (n_materials, n_bands, 201)."""
+    """Return 201 quantiles of each coefficient's distribution, (n_materials, n_bands, 201).
+
+    Quantile i is at the probability with which a standard normal value is below
+    `rtcal.support.normal.NORMAL` [i]. ``layout`` is the order of the unknowns, ``density`` their
+    density, and ``parts`` are the random draws from it.
+    """
     table = np.repeat(density.point[:, np.newaxis], len(NORMAL), axis=1)
     for part in parts:
         table[part.unknowns] = part.quantiles
@@ -210,12 +222,13 @@ def _moments(points: Array) -> tuple[Array, Array]:
 
 
 def sensitivity(result: Any) -> Array:
-    """Return the derivatives of the calibrated coefficients by the measured T, in 1/s.
+    """Return the change of each calibrated coefficient per change of each measured T, in 1/s.
 
-    Their shape is (n_materials, n_bands, n_configurations, n_bands); the last two axes are those of T.
-    Coefficients at a bound stay there, so that a derivative holds up to the next bound. With
-    independent inputs and an exact match, the derivative by the absorption area b is
-    S_F sigma_F² / sum(S_F² sigma_F²) for the coefficients F of the band that are at no bound
+    The derivatives are (n_materials, n_bands, n_configurations, n_bands): the first two axes are those
+    of the coefficient, the last two those of T. They hold for small changes, because a coefficient at a
+    bound is taken to stay there. With an exact match and independent input coefficients, the derivative
+    of coefficient i by the absorption area that T needs is S_i sigma_i² / sum(S_j² sigma_j²). S_i is
+    the area of the material, and the sum is over the coefficients of the band that are at no bound
     (docs/posterior.md).
 
     Parameters
@@ -260,14 +273,16 @@ _POINTS = ndtr(np.linspace(-3.2, 3.2, 29))
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Density:
-    """Normal density of unknowns within bounds, linear equalities and linear inequalities.
+    """Describe the normal density of a calibration's unknowns, cut by bounds and linear constraints.
 
-    The density of the unknowns u (size,) is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)), with
-    ``point`` p, ``gradient`` g and ``curvature`` H. ``lower`` and ``upper`` are the bounds of u. Each
-    row of ``matrix`` gives a sum that lies from ``row_lower`` to ``row_upper`` (n_rows,). If both
-    limits of a sum are equal and ``row_noise`` is above 0, the sum is normal about this limit with
-    ``row_noise`` as standard deviation, cut to the values that the bounds allow; g, H and the bounds
-    then determine only how the unknowns share the sum.
+    The density of the unknowns u (size,), which are coefficients and sizes of effects, is proportional
+    to exp(-g'(u - p) - ½ (u - p)'H(u - p)). p is ``point``, g is ``gradient`` and H is ``curvature``.
+    ``lower`` and ``upper`` are the bounds of u. The sums ``matrix`` u must lie from ``row_lower`` to
+    ``row_upper``, (n_rows,) each; equal limits are an equality.
+
+    An equality whose ``row_noise`` is above 0 is not exact: the sum is then normal with the limit as
+    mean and ``row_noise`` as standard deviation, cut to the values that the bounds allow. In that case
+    g, H and the bounds only determine how the unknowns share the sum.
     """
 
     point: Array  # p, where the equalities hold
@@ -335,11 +350,12 @@ class _Part:
 
 
 def draws(density: Density, number: int = 1024, seed: int = 0) -> list[Draws]:
-    """Return random draws and quantiles of unknowns, for each independent group of unknowns.
+    """Return random draws from a density, one `Draws` per group of unknowns that depend on each other.
 
-    ``number`` is the number of draws, a power of two; it is doubled for a group of which ``density``
-    states a sum. ``seed`` is that of the random numbers. Raises ModelError for more than 2,000
-    unknowns, and SolverError if no draw is within the constraints.
+    A `Draws` has the weighted draws and the quantiles of its unknowns. ``number`` is the number of
+    draws and a power of two. A group with an inexact equality (`Density.row_noise`) gets twice as many.
+    ``seed`` is the seed of the random numbers. Raises ModelError for more than 2,000 unknowns, and
+    SolverError if no draw is within the constraints.
     """
     parts = _parts(density)
     pieces = [(i, *piece) for i, part in enumerate(parts) for piece in _pieces(part, number, seed)]

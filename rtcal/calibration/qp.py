@@ -66,16 +66,19 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 class CompiledProblem:
-    """Calibration that cvxpy has compiled for given materials and bands.
+    """Hold the quadratic programme of a calibration without its numbers, as cvxpy has compiled it.
 
-    `filled` returns its quadratic programme for the values of one room and measurement. ``shape`` has
-    the names of the materials, the centre frequencies in Hz and the number of configurations. ``terms``
-    and ``constraints`` are functions of a `Model`; a constraint may also be a `Shared`. ``weights`` has
-    one factor per term. Call `compile_once` to get a compiled problem, because it returns an equal one
-    that exists already.
+    Compiling takes longer than solving. Rooms with the same materials, bands and terms therefore share
+    one compiled problem, and `filled` inserts the values of one room and its measurement. Call
+    `compile_once` instead of this class: it returns the same object for an equal problem.
+
+    ``shape`` has the names of the materials, the centre frequencies in Hz and the number of
+    configurations (measured states of the room). ``terms`` of the objective and ``constraints`` are
+    functions of a `rtcal.terms.Model`; a constraint may also be a `rtcal.terms.Shared`. ``weights`` has
+    the factor of each term in the objective.
 
     Raises ModelError if a term is no convex quadratic expression, if a constraint is not linear, or if
-    cvxpy would have to compile again for every solve (the problem is not DPP).
+    a term combines parameters so that cvxpy would have to compile again for each solve (DPP).
     """
 
     def __init__(
@@ -238,12 +241,13 @@ def compile_once(
     weights: Sequence[float],
     constraints: Sequence[Any],
 ) -> CompiledProblem:
-    """Return the compiled problem of terms and constraints; an equal one that exists is used again.
+    """Return the compiled problem of terms and constraints, which is compiled only the first time.
 
     ``shape`` has the names of the materials, the centre frequencies in Hz and the number of
-    configurations; ``weights`` has one factor per term. The 16 problems used last are kept. A problem
-    with a term that cannot be hashed is compiled anew. A value that a function of the user refers to
-    must not change later, because it is a constant of the compiled problem.
+    configurations (measured states of the room); ``weights`` has the factor of each term. The 16
+    problems used last are kept and returned for equal arguments; a problem with a term that Python
+    cannot hash is never kept. If a term or constraint is a function of your own, the values that it
+    refers to must not change later, because they are constants of the compiled problem.
     """
     structure = tuple(t.structure() if isinstance(t, Term) else t for t in terms)
     key = shape, structure, tuple(weights), tuple(constraints)
@@ -268,11 +272,13 @@ def forget() -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class QP:
-    """Quadratic programme of a calibration, as solvers take it.
+    """Hold the numbers of a calibration's quadratic programme.
 
-    The programme is to minimise ½ v'Pv + c'v subject to A v = b or A v <= b by row, and lower <= v <=
-    upper. The variables v (size,) are the unknowns' deviations from the input in sigmas, and auxiliary
-    variables of terms. ``c``, ``lower`` and ``upper`` are (size,), and ``b`` is (n_rows,).
+    The programme is to minimise ½ v'Pv + c'v subject to A v = b (rows where ``equal`` is True) or A v
+    <= b (all other rows), and lower <= v <= upper. The variables v (size,) are the unknowns, which are
+    coefficients and sizes of effects, each as its deviation from the input in standard deviations; and
+    further variables that terms have defined. ``c``, ``lower`` and ``upper`` are (size,), and ``b`` is
+    (n_rows,). ``P`` and ``A`` hold only the entries that can differ from 0.
     """
 
     compiled: CompiledProblem
@@ -287,7 +293,11 @@ class QP:
     fixed_area: float  # m² of the materials if b has some of sigma 0, which no row of A has; else 0
 
     def unknowns(self, numbers: Numbers, v: Array) -> Array:
-        """Return the unknowns u = mu + sigma x of a point v of the QP, (size,)."""
+        """Return the unknowns, such as coefficients, for values of the programme's variables.
+
+        The result (n_unknowns,) is the input plus the deviation in ``v`` (size,) times the input sigma.
+        ``numbers`` has input and sigma.
+        """
         return np.asarray(numbers.mu + numbers.sigma * v[self.compiled.places])
 
     @functools.cached_property
@@ -311,7 +321,10 @@ class QP:
         )
 
     def row_sums(self, v: Array, entries: Array | None = None) -> Array:
-        """Return A v, (n_rows,), for a point v; ``entries`` replaces the entries of A."""
+        """Return A v, (n_rows,), the left sides of the constraints for the variables v (size,).
+
+        ``entries`` replaces the entries of A; None keeps them.
+        """
         of, entries = self.compiled, self.A if entries is None else entries
         products = entries * v[of.A_columns]
         return np.asarray(np.bincount(of.A_rows, products, minlength=len(self.b)), float)
@@ -322,7 +335,11 @@ class QP:
         return self.c + np.bincount(self.compiled.P_rows, products, minlength=len(self.c))
 
     def force(self, v: Array, y: Array) -> Array:
-        """Return P v + c + A'y, which the multipliers of the bounds balance, (size,)."""
+        """Return P v + c + A'y, (size,): the gradient of the objective and of the constraints.
+
+        At the optimum it is 0 for every variable that is not at a bound. ``v`` (size,) are the
+        variables, and ``y`` (n_rows,) the multipliers of the constraints.
+        """
         pull = self.A * y[self.compiled.A_rows]
         return self.gradient(v) + np.bincount(self.compiled.A_columns, pull, minlength=len(self.c))
 
@@ -332,20 +349,24 @@ class QP:
         return replace(self, **{name: np.abs(getattr(self, name)) for name in "PcAb"})
 
     def at_bounds(self, at: Active) -> Array:
-        """Return a point with variables at the bounds of ``at``, and 0, the input, for all others."""
+        """Return the variables, (size,), with some at their bounds and all others 0, the input.
+
+        ``at`` (size,) is -1 or 1 for a variable at its lower or upper bound, and else 0.
+        """
         held = np.where((at < 0) | self.fixed, self.lower, np.where(at > 0, self.upper, 0.0))
         return np.where(np.isfinite(held), held, 0.0)
 
 
 class System:
-    """Factored linear equations of an optimum (KKT conditions) with given active bounds and rows.
+    """Solve the optimality (KKT) conditions of a programme for given active bounds and rows.
 
         P dv + A'dy = force,  A dv = limit
 
-    P and A are those of ``program``, dv is the step of the variables, and dy are the multipliers of the
-    rows. Only variables at no bound, for which ``free`` (size,) is True, and rows that hold with
-    equality, for which ``active`` (n_rows,) is True, count in the equations. A small regularisation
-    allows dependent rows, and refinement removes its effect.
+    P and A are the matrices of ``program``, dv is the step of the variables, and dy are the multipliers
+    of the rows. The equations contain the variables for which ``free`` (size,) is True, because they
+    are at no bound, and the rows for which ``active`` (n_rows,) is True, because they hold with
+    equality. The matrix is factored once. A small number on its diagonal makes it regular if rows
+    depend on each other, and iterative refinement removes the effect of that number.
     """
 
     _SHIFT = 1e-11
@@ -375,12 +396,12 @@ class System:
             ) from error
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
-        """Return the step dv of the variables and the multipliers dy of the rows.
+        """Return the step of the variables (size, ...) and the multipliers of the rows (n_rows, ...).
 
-        They are (size, ...) and (n_rows, ...). dv is 0 for fixed variables, and dy is 0 for inactive
-        rows. ``force`` (size,) and ``limit`` (n_rows,) are the right sides of the equations, and may
-        have a second axis for several right sides. ``refine`` says whether the effect of the
-        regularisation is removed.
+        ``force`` (size, ...) and ``limit`` (n_rows, ...) are the right sides of the equations; a second
+        axis holds several right sides. The step is 0 for variables that are not free, and the
+        multiplier is 0 for rows that are not active. With ``refine`` = False, the small error of the
+        regularisation stays in the result.
         """
         right = np.concatenate([force, (limit.T * self._unit).T])
         right[~self._on] = 0.0
@@ -398,7 +419,11 @@ class System:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Iterate:
-    """Point of a QP with its multipliers, active bounds and active rows, (size,) or (n_rows,) each."""
+    """Hold an answer to a quadratic programme: variables, multipliers, and which bounds are active.
+
+    The variables ``v``, the multipliers ``z`` of their bounds and the active bounds ``at`` are (size,);
+    the multipliers ``y`` of the rows are (n_rows,).
+    """
 
     v: Array  # the variables
     y: Array  # the rows' multipliers
@@ -411,7 +436,12 @@ class Iterate:
     seconds: float = field(default=float("nan"), metadata=NOT_SAVED)
 
     def active(self, program: QP) -> tuple[Active, Flags]:
-        """Return the active bounds and rows: those whose multiplier exceeds their distance."""
+        """Return the bounds and rows of a programme that hold with equality at this point.
+
+        A bound or row counts as active if its multiplier is larger than the variable's distance from
+        the bound, or the row's from its limit. The bounds are (size,): -1 lower, 1 upper, 0 none. The
+        rows are (n_rows,) of bool.
+        """
         at = (self.z > program.upper - self.v).astype(np.int8) - (-self.z > self.v - program.lower)
         square = program.row_sums(np.ones(len(self.v)), program.A**2)
         return at, self.y * square > program.b - program.row_sums(self.v)
@@ -543,17 +573,17 @@ def solve(
     settings: Mapping[str, Any] | None = None,
     warm_start: bool = True,
 ) -> Iterate:
-    """Return the answer of a solver, Clarabel or OSQP, to a quadratic programme.
+    """Return the answer of Clarabel or OSQP to a quadratic programme.
 
-    ``at`` (size,) is -1 or 1 for variables that are held at their lower or upper bound, and else 0;
-    these variables, and those with equal bounds, are constants. ``solver`` is "clarabel" or "osqp".
-    ``settings`` are the solver's settings by name, and override those of `SETTINGS`; None for no
-    others. ``warm_start`` says whether OSQP starts from the solution without bounds.
+    ``at`` (size,) is -1 or 1 for a variable that stays at its lower or upper bound, and else 0.
+    ``solver`` is "clarabel" or "osqp". ``settings`` are settings of the solver by name, which take
+    precedence over rtcal's own (`SETTINGS`); None for rtcal's own alone. If ``warm_start`` is True,
+    OSQP starts from the optimum that `closed_form` has found. Clarabel has no warm start.
 
     Raises
     ------
     ModelError
-        If the solver refuses a setting.
+        If the solver does not accept a setting.
     SolverError
         If the solver returns no values.
     """
@@ -675,7 +705,11 @@ _ACCEPTED = 1e-9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate:
-    """Residuals of the optimality conditions of an answer, which bound its error."""
+    """Hold how well an answer satisfies the optimality conditions, and what its error can be at most.
+
+    At the optimum the three residuals are 0 (KKT conditions). They are calculated from the programme's
+    numbers, not taken from the solver.
+    """
 
     primal_residual: float
     """Largest violation of a match (|S'alpha - b| / sum S) or of a bound, as a coefficient."""
@@ -702,17 +736,17 @@ class Certificate:
 
 
 def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
-    """Return the certificate of a point: a bound of its distance from the optimum, and its residuals.
+    """Return the residuals of an answer to a programme, and the largest error that they allow.
 
-    ``point`` has the variables and multipliers of an answer to ``program``. ``convexity`` is a number m
-    with which f - m |x|²/2 is convex, where f is the objective and x are the deviations of the unknowns
-    in sigmas. For a point that keeps its rows, with dual residual r and duality gap g, the optimum x*
-    is within
+    ``point`` has the variables and multipliers of the answer. ``convexity`` is a number m with which f
+    - m |x|²/2 is convex, where f is the objective and x are the deviations of the unknowns from the
+    input in standard deviations. With dual residual r and duality gap g, a point at which all
+    constraints hold has a distance from the optimum x* of
 
         m |x - x*|² <= |r| |x - x*| + g.
 
-    If m = 0, the bounds of the coefficients alone limit the distance. The certified distance also has
-    the step that would remove the residuals of the rows and their rounding.
+    To this distance is added the step by which the point misses equalities, and the rounding errors. If
+    m = 0, the error bound is the distance between the bounds of the coefficient.
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)

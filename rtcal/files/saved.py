@@ -40,7 +40,7 @@ _KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, 
 
 
 class CannotBeSavedError(DataError):
-    """Report an object that no file can hold, such as a function or a simulator of your own class."""
+    """Report an object that cannot be written to a file, such as a function or your own simulator."""
 
 
 class Result(ABC):  # some kinds have methods that each of them must have
@@ -72,11 +72,12 @@ class Result(ABC):  # some kinds have methods that each of them must have
         return notebook(repr(self).strip("<>"), shown) if shown else None
 
     def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
-        """Return the JSON text that `save` writes: the numbers of `to_dict`, and the data to load them.
+        """Return the JSON text that `save` writes to the file.
 
-        Names of other files, such as a room's mesh, are relative to ``folder``; with None they are
-        whole paths. A result that has an object of your own class, such as a simulator, cannot be
-        loaded again: the text then has only the numbers, and the reason.
+        The text has the numbers of `to_dict` and, for `rtcal.load`, all data of the result. Names of
+        other files, such as a room's mesh, are relative to ``folder``; if ``folder`` is None, they are
+        absolute paths. A result with an object of your own class, such as a simulator, cannot be loaded
+        again: the text then has only the numbers and the reason.
         """
         try:
             return self._text({"objects": plain(self, folder)})
@@ -158,11 +159,11 @@ def load(path: str | os.PathLike[str]) -> Any:
 
 
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
-    """Return a dataclass as a list of plain objects for JSON, which `restored` turns back.
+    """Return a dataclass of rtcal as a list that JSON can hold, from which `restored` makes it again.
 
-    Each object comes after the objects that it contains. Names of files are relative to ``folder``;
-    with None they are whole paths. Raises CannotBeSavedError for an object that is not one of rtcal's
-    dataclasses.
+    The list has one entry per object in ``value``, each after the objects that it contains; arrays are
+    text in base64. Names of files are relative to ``folder``; if ``folder`` is None, they are absolute
+    paths. Raises CannotBeSavedError for an object that is not one of rtcal's dataclasses.
 
     Examples
     --------
@@ -220,9 +221,10 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
 
 
 def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
-    """Return the object that `plain` turned into the list ``objects``.
+    """Return the object from which `plain` made the list ``objects``.
 
-    Names of files in it are relative to ``folder``. Raises DataError for any other list.
+    Names of files in the list are relative to ``folder``. Raises DataError if ``objects`` is not a list
+    that `plain` made.
     """
     made: list[Any] = []
 

@@ -20,11 +20,11 @@ FINE = np.polynomial.legendre.leggauss(80)
 
 
 def symmetric_root(covariance: Array) -> Array:
-    """Return the symmetric square roots of covariances (..., n, n), by which normal values are drawn.
+    """Return the symmetric square roots R of covariances C = R R, (..., n, n) each.
 
-    Roots from eigenvectors or singular vectors have signs that differ between processors, so that the
-    values drawn would differ too. The symmetric root has no sign to choose, and exists for a singular
-    covariance, too.
+    R times independent standard normal values gives values with the covariance C. Other roots, from
+    eigenvectors or singular vectors, have signs that differ between processors, so that the same seed
+    would give other values. The symmetric root is unique, and also exists for a singular covariance.
     """
     values, vectors = np.linalg.eigh(covariance)
     scaled = vectors * np.sqrt(np.maximum(values, 0.0))[..., np.newaxis, :]
@@ -32,16 +32,20 @@ def symmetric_root(covariance: Array) -> Array:
 
 
 def truncated_normal(lower: Array, upper: Array, uniform: Array) -> Array:
-    """Return the quantiles ``uniform`` of the standard normal distribution cut to [lower, upper]."""
+    """Return quantiles of the standard normal distribution cut to the interval from lower to upper.
+
+    ``uniform`` are the probabilities of the quantiles, 0 to 1; random ones give random values.
+    """
     return quantile_and_mass(lower, upper, uniform)[0]
 
 
 def quantile_and_mass(lower: Array, upper: Array, uniform: Array) -> tuple[Array, Array]:
-    """Return quantiles of a standard normal cut to an interval, and the logarithm of its mass there.
+    """Return quantiles of the standard normal distribution cut to an interval, and the interval's mass.
 
-    ``lower`` and ``upper`` are the ends of the interval, and ``uniform`` are the probabilities, 0 to 1,
-    of the quantiles within it (`truncated_normal`). The mass is the probability of the interval; its
-    logarithm is -inf if the interval is empty.
+    The first result are the quantiles, as `truncated_normal` returns them. The second is the natural
+    logarithm of the probability that a standard normal value is in the interval; -inf for an empty one.
+    ``lower`` and ``upper`` are the ends of the interval, and ``uniform`` the probabilities, 0 to 1, of
+    the quantiles. All arrays have one shape.
     """
     # The interval is mirrored to the lower side, where the tails keep all digits.
     turned = upper > -lower
@@ -68,11 +72,12 @@ def truncated_moments(
     upper: Array | float,
     rule: tuple[Array, Array] = _COARSE,
 ) -> tuple[Array, Array]:
-    """Return mean and variance of a normal distribution cut to bounds, however far in its tail.
+    """Return mean and variance of normal distributions cut to intervals, one per entry of the arrays.
 
-    ``mean`` and ``variance`` are those of the normal distribution, ``lower`` and ``upper`` the bounds.
-    ``rule`` has the nodes and weights of Gauss's rule, which is applied about the peak of the density,
-    so that a density much narrower than the normal one keeps all digits.
+    ``mean`` and ``variance`` are those before the cut, ``lower`` and ``upper`` the ends of the
+    intervals, which may be far in the tail. ``rule`` has the nodes and weights of Gauss-Legendre
+    quadrature on [-1, 1], with which the moments are integrated: the default of 24 nodes has a relative
+    error of about 1e-8, `FINE` has 80 nodes and errs by rounding only.
     """
     (nodes, weights), sigma = rule, np.sqrt(variance)
     peak = np.clip(mean, lower, upper)
