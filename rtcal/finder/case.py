@@ -95,7 +95,7 @@ CLIMATE_UNCERTAINTY = (2.0, 10.0)
 a hygrometer on a wall leave this much open in a room. The values are a judgement, without a study."""
 
 
-def checked_climate_uncertainty(value: object) -> tuple[float, float]:
+def _checked_climate_uncertainty(value: object) -> tuple[float, float]:
     """Return standard uncertainties of temperature in K and of relative humidity in %, after a check.
 
     Raises DataError unless ``value`` consists of two numbers, each 0 or more.
@@ -110,21 +110,22 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
     return kelvin, percent
 
 
-class ChangedTable(FileTable):
-    """Hold a file's table of a material that another configuration changes; see `ChangedMaterial`."""
+class _ChangedTable(FileTable):
+    """Hold a table of a file with the coefficients of a material in one configuration."""
 
     alpha: list[Number]
     sigma: list[Number]
 
 
-class ConfigurationTable(FileTable):
-    """Hold the table of one configuration in a case's file; see `Configuration`.
+class _ConfigurationTable(FileTable):
+    """Hold the table of one configuration in a case's file.
 
-    ``measured`` is the name of a measurement's file, or the values as `Measurement.to_dict` returns
-    them, by default in the room's bands. For a planned measurement, ``parameters`` are the names of the
-    parameters and ``positions`` is the number of pairs. ``simulated`` has the values of a simulation
-    program, in the form of ``measured``. ``at`` has the coefficients that the program used: the name of
-    a room's file, or alpha (n_materials, n_bands); None means the case's room.
+    ``measured`` is the name of a measurement's file, or its values as `Measurement.to_dict` returns
+    them. A configuration that is not yet measured has ``parameters``, the names of the parameters that
+    will be measured, and ``positions``, the number of source-receiver pairs. ``simulated`` has the
+    result of a simulation program, in the form of ``measured``. ``at`` has the coefficients that the
+    program used: the name of a room's file, or alpha (n_materials, n_bands); None means those of the
+    case's room.
     """
 
     name: str | None = None
@@ -132,7 +133,7 @@ class ConfigurationTable(FileTable):
     parameters: list[str] | None = None
     positions: int | None = None
     planned: bool = False
-    changes: dict[str, ChangedTable] = {}
+    changes: dict[str, _ChangedTable] = {}
     suspect_removed: bool = False
     air: Air | None = None
     distances: list[Number] | None = None
@@ -140,23 +141,20 @@ class ConfigurationTable(FileTable):
     at: str | list[list[Number]] | None = None
 
 
-class Uncertainty(FileTable):
-    """Hold the uncertainty of values that come without one: relative for a time, in dB for a level."""
+class _Uncertainty(FileTable):
+    """Hold the uncertainty of measured values without one: of a time as a ratio, of a level in dB."""
 
     time: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
     level: Annotated[float, msgspec.Meta(gt=0, le=20)] | None = None
 
 
-class CaseTable(FileTable):
-    """Hold the content of a case's file.
-
-    See `Case`. ``room`` is the name of a file, or plain values.
-    """
+class _CaseTable(FileTable):
+    """Hold the content of a case's file; ``room`` is the name of a room's file, or its values."""
 
     room: str | RoomFile
-    configuration: list[ConfigurationTable] = []
+    configuration: list[_ConfigurationTable] = []
     equation: str = "eyring"
-    uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
+    uncertainty: _Uncertainty = msgspec.field(default_factory=_Uncertainty)
     facing: list[list[Number | None]] | None = None
     applied: list[AppliedEffect] = []
     climate_uncertainty: tuple[Number, Number] = CLIMATE_UNCERTAINTY
@@ -166,10 +164,10 @@ class CaseTable(FileTable):
 
 @dataclass(frozen=True)
 class ChangedMaterial:
-    """Hold the alpha (n_bands,) of a material in one configuration, and its standard uncertainty sigma.
+    """Hold alpha and sigma of a material in one configuration of a room, (n_bands,) each.
 
-    For pieces such as persons both are in m² per piece. Raises DataError if alpha or sigma is not an
-    array of numbers from 0 to 1; for pieces up to the largest absorption area of one piece.
+    For pieces such as persons, both are absorption areas in m² per piece. Raises DataError for a value
+    that is not from 0 to 1; for pieces from 0 to the largest area that rtcal allows for a piece.
     """
 
     alpha: Array
@@ -253,90 +251,8 @@ class Configuration:
             alpha[row], sigma[row] = change.alpha, change.sigma
         return alpha, sigma
 
-    @classmethod
-    def of(
-        cls, table: ConfigurationTable, room: Room, folder: Path, stated: Uncertainty
-    ) -> Configuration:
-        """Return the configuration that one table of a case's file describes.
-
-        File names in the ``table`` are relative to ``folder``. ``room`` is the case's room. Measured
-        values that have no uncertainty get the uncertainty ``stated``. Raises DataError as
-        `Configuration` does, and for a table without a measurement.
-        """
-        where = f'configuration "{table.name}"'
-        planned = table.planned or table.parameters is not None
-        if table.parameters is not None:
-            if table.measured is not None:
-                raise DataError(
-                    f"{where}: measured and parameters are both given. If the "
-                    "configuration was measured, leave parameters out; if it is only "
-                    "planned, leave measured out"
-                )
-            wanted, n = table.parameters, 4 if table.positions is None else table.positions
-            fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
-            if not fits or len(set(wanted)) < len(wanted):
-                raise DataError(
-                    f"{where}: parameters must be a list with t20; it may also have "
-                    f"{', '.join(p for p in PARAMETERS if p != 't20')}, each once"
-                )
-            if not 1 <= n <= MAX_POSITIONS:
-                raise DataError(f"{where}: positions = {n} must be from 1 to {MAX_POSITIONS}")
-            values = np.ones((n, room.n_bands))
-            kinds = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
-            measured = Measurement(
-                centre_frequencies=room.centre_frequencies,
-                values=dict.fromkeys(wanted, values),
-                pairs=[("S", f"R{i + 1}") for i in range(n)],
-                uncertainty={p: u * values for p, u in kinds.items()},
-            )
-        elif table.positions is not None:
-            raise DataError(
-                f"{where}: positions can be given only for a planned configuration, and "
-                "this one was measured: leave positions out"
-            )
-        elif table.measured is None:
-            raise DataError(
-                f"{where}: measured is missing; give the name of a file with the measurement"
-            )
-        else:
-            measured = _read(where, table.measured, room, folder)
-        added = dict(measured.uncertainty)
-        for parameter, values in measured.values.items():
-            level = parameter in LEVELS
-            size = stated.level if level else stated.time
-            if size is not None and parameter not in added:
-                added[parameter] = np.full_like(values, size) if level else size * values
-        run = None
-        if table.simulated is None and table.at is not None:
-            raise DataError(
-                f"{where}: at gives the coefficients of a simulation, but the simulation "
-                "is missing; add simulated"
-            )
-        if table.simulated is not None:
-            try:
-                if isinstance(table.at, str):
-                    at = Room.from_file(str(folder / table.at))
-                else:
-                    at = room if table.at is None else room.replace(alpha=table.at)
-                run = Run(at, _read(where, table.simulated, room, folder))
-            except DataError as error:
-                raise DataError(f"{where}: {error}") from error
-        return cls(
-            name=table.name or ("planned" if planned else "measured"),
-            measured=replace(measured, uncertainty=added),
-            changes={
-                name: ChangedMaterial(np.array(c.alpha), np.array(c.sigma))
-                for name, c in table.changes.items()
-            },
-            suspect_removed=table.suspect_removed,
-            air=table.air,
-            distances=None if table.distances is None else np.array(table.distances),
-            planned=planned,
-            simulated=run,
-        )
-
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration as plain values for JSON, with a `ConfigurationTable`'s keys."""
+        """Return the configuration as plain values for JSON, with the keys of a case's file."""
         run: dict[str, Any] = {}
         if self.simulated is not None:
             run["simulated"] = self.simulated.simulated.to_dict()
@@ -358,9 +274,10 @@ class Configuration:
     def in_room(self, room: Room) -> Configuration:
         """Return the configuration with its measurement converted to the bands of a room.
 
-        If the configuration has values of a simulation program, parameters that the program did not
-        give are left out. Warns if bands are converted or left out. Raises DataError if the
-        configuration does not fit the room, or if a measured value is physically impossible.
+        If the configuration has the result of a simulation program, measured parameters that the
+        program did not calculate are left out. Warns if bands are converted or left out. Raises
+        DataError if the configuration does not fit the room, or if a measured value is physically
+        impossible.
         """
         where = f'configuration "{self.name}"'
         stated, wanted = self.measured.centre_frequencies, room.centre_frequencies
@@ -440,6 +357,88 @@ class Configuration:
         return both.measured, made
 
 
+def _configuration(
+    table: _ConfigurationTable, room: Room, folder: Path, stated: _Uncertainty
+) -> Configuration:
+    """Return the configuration that one table of a case's file describes.
+
+    File names in the ``table`` are relative to ``folder``. ``room`` is the case's room. Measured values
+    that have no uncertainty get that of ``stated``. Raises DataError as `Configuration` does, and for a
+    table without a measurement.
+    """
+    where = f'configuration "{table.name}"'
+    planned = table.planned or table.parameters is not None
+    if table.parameters is not None:
+        if table.measured is not None:
+            raise DataError(
+                f"{where}: measured and parameters are both given. If the "
+                "configuration was measured, leave parameters out; if it is only "
+                "planned, leave measured out"
+            )
+        wanted, n = table.parameters, 4 if table.positions is None else table.positions
+        fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
+        if not fits or len(set(wanted)) < len(wanted):
+            raise DataError(
+                f"{where}: parameters must be a list with t20; it may also have "
+                f"{', '.join(p for p in PARAMETERS if p != 't20')}, each once"
+            )
+        if not 1 <= n <= MAX_POSITIONS:
+            raise DataError(f"{where}: positions = {n} must be from 1 to {MAX_POSITIONS}")
+        values = np.ones((n, room.n_bands))
+        kinds = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
+        measured = Measurement(
+            centre_frequencies=room.centre_frequencies,
+            values=dict.fromkeys(wanted, values),
+            pairs=[("S", f"R{i + 1}") for i in range(n)],
+            uncertainty={p: u * values for p, u in kinds.items()},
+        )
+    elif table.positions is not None:
+        raise DataError(
+            f"{where}: positions can be given only for a planned configuration, and "
+            "this one was measured: leave positions out"
+        )
+    elif table.measured is None:
+        raise DataError(
+            f"{where}: measured is missing; give the name of a file with the measurement"
+        )
+    else:
+        measured = _read(where, table.measured, room, folder)
+    added = dict(measured.uncertainty)
+    for parameter, values in measured.values.items():
+        level = parameter in LEVELS
+        size = stated.level if level else stated.time
+        if size is not None and parameter not in added:
+            added[parameter] = np.full_like(values, size) if level else size * values
+    run = None
+    if table.simulated is None and table.at is not None:
+        raise DataError(
+            f"{where}: at gives the coefficients of a simulation, but the simulation "
+            "is missing; add simulated"
+        )
+    if table.simulated is not None:
+        try:
+            if isinstance(table.at, str):
+                at = Room.from_file(str(folder / table.at))
+            else:
+                at = room if table.at is None else room.replace(alpha=table.at)
+            run = Run(at, _read(where, table.simulated, room, folder))
+        except DataError as error:
+            raise DataError(f"{where}: {error}") from error
+    return Configuration(
+        name=table.name or ("planned" if planned else "measured"),
+        measured=replace(measured, uncertainty=added),
+        changes={
+            name: ChangedMaterial(np.array(c.alpha), np.array(c.sigma))
+            for name, c in table.changes.items()
+        },
+        suspect_removed=table.suspect_removed,
+        air=table.air,
+        distances=None if table.distances is None else np.array(table.distances),
+        planned=planned,
+        simulated=run,
+    )
+
+
 def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) -> Measurement:
     """Return the measurement of a file's name, or of plain values in the room's bands."""
     if isinstance(stated, str):
@@ -497,7 +496,7 @@ class Case:
         if len(set(names)) < len(names):
             raise DataError(f"configurations = {names}: give each configuration a name of its own")
         object.__setattr__(self, "facing", read_only(_checked_facing(self.room, self.facing)))
-        climate = checked_climate_uncertainty(self.climate_uncertainty)
+        climate = _checked_climate_uncertainty(self.climate_uncertainty)
         object.__setattr__(self, "climate_uncertainty", climate)
         _check_size(self.room)
         for added in self.applied:
@@ -548,7 +547,7 @@ class Case:
             equation=table.equation,
             facing=table.facing,  # type: ignore[arg-type]  # checked there
             configurations=[
-                Configuration.of(c, room, folder, table.uncertainty) for c in table.configuration
+                _configuration(c, room, folder, table.uncertainty) for c in table.configuration
             ],
             applied=table.applied,
             climate_uncertainty=table.climate_uncertainty,
@@ -685,7 +684,7 @@ def _content(path: str) -> dict[str, Any]:
     return json_object(text) if str(path).endswith(".json") else toml_table(text)
 
 
-def _table(content: Mapping[str, Any]) -> CaseTable:
+def _table(content: Mapping[str, Any]) -> _CaseTable:
     content = checks.mapped("case", content)
     if "geometry" in content:
         raise DataError(
@@ -693,7 +692,7 @@ def _table(content: Mapping[str, Any]) -> CaseTable:
             "and [receivers] into the room's file, and give that room and the "
             "measurement instead of the case: room.toml pairs.csv"
         )
-    return read(CaseTable, content)
+    return read(_CaseTable, content)
 
 
 def files_of_case(path: str) -> list[Path]:
@@ -709,9 +708,10 @@ def files_of_case(path: str) -> list[Path]:
 class PositionsCase:
     """Describe a room by its simulator, and the measurement at each source-receiver pair.
 
-    Raises DataError if the measurement is a mean over pairs; if the other program's values
-    ``simulated`` have none of the measured parameters; if the room was already calibrated to this
-    measurement; if a pair in ``exclude`` was not measured; or if another value breaks its rule.
+    `rtcal.find` compares every pair with the simulator. Raises DataError if the measurement is a mean
+    over pairs; if ``simulated``, the values of another program, have none of the measured parameters;
+    if the room has already been calibrated; if a pair in ``exclude`` was not measured; or if another
+    value is not allowed.
     """
 
     kind: ClassVar[str] = "positions"
@@ -867,9 +867,9 @@ class PositionsCase:
         )
 
     def only(self, pairs: Sequence[Pair]) -> PositionsCase:
-        """Return the case with only these measured pairs.
+        """Return the case with only the source-receiver ``pairs``, each a source and a receiver name.
 
-        Raises DataError for a pair that it does not have.
+        Raises DataError for a pair that was not measured.
         """
         wanted = checks.pairs("pairs", pairs)
         if lacking := [p for p in wanted if p not in self.pairs]:
@@ -949,7 +949,7 @@ class StatesCase:
         checks.instance("before", self.before, Measurement).refuse_other_units()
         checks.instance("after", self.after, Measurement).refuse_other_units()
         checks.instance("equation", self.equation, LinearEquation)
-        put("climate_uncertainty", checked_climate_uncertainty(self.climate_uncertainty))
+        put("climate_uncertainty", _checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
             raise DataError(
                 "climate_uncertainty is given, but the room has no air: give air, or leave "
@@ -1059,8 +1059,8 @@ class StatesCase:
     def falls(self) -> bool:
         """Whether T is shorter after the change than before it, on average over bands and pairs.
 
-        The average is the mean of ``change`` = ln(T after / T before), weighted by 1 / ``variance``. If
-        this mean is 0, the first value of ``change`` that is not 0 decides.
+        The average is that of ln(T after / T before), and each value is weighted by the inverse of its
+        noise variance. If the average is exactly 0, the first ratio other than 1 decides.
         """
         mean = np.nansum(self.change / self.variance)
         if mean == 0 and not self.same:
@@ -1087,7 +1087,7 @@ def case_of(
     program: str = "",
     **stated: Any,
 ) -> AnyCase:
-    """Return a room and its measurement as a case, whose type depends on the arguments.
+    """Return a room and its measurement as the kind of case that `rtcal.find` compares.
 
     With a measurement ``before``, it is a `StatesCase`. With a measurement of each source-receiver
     pair, and a simulator or a room that has its mesh, sources and receivers, it is a `PositionsCase`.
@@ -1100,26 +1100,26 @@ def case_of(
     measured : Measurement
         Measurement of the room.
     simulator : PathTracing, optional
-        Simulator of the room; by default a path tracing of the room's scene, if the room has one.
+        Simulator of the room; by default a path tracing of the room's mesh, if the room has one.
     before : Measurement, optional
         Measurement of the room at an earlier time, before the room was changed.
     tracing : mapping, optional
         Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, for the path tracing of the
-        room's scene.
+        room's mesh.
     simulated : Run, optional
-        Values of a simulation program, which replace the results of the reverberation equation or of
-        the path tracing. At positions, the program must have used the room's input coefficients.
+        Result of a simulation program, which replaces that of the reverberation equation or of the path
+        tracing. At positions, the program must have used the room's input coefficients.
     program : str
-        Kind of the simulation program, "geometrical" or "": see `Case.program`.
+        Kind of the simulation program: "geometrical" if it traces rays or image sources, else ""
+        (`Case.program`).
     **stated
-        Further arguments of the `PositionsCase`.
+        Further fields of a `PositionsCase`, such as ``exclude``.
 
     Raises
     ------
     DataError
-        If the simulator is of another room; if ``tracing`` is given but no path is traced; for an
-        argument that this type of case does not have; and as `geometry_files.path_tracing` and the
-        cases do.
+        If the simulator is of another room; if ``tracing`` is given, but positions are not compared;
+        for an argument that this kind of case does not have; and if the case does not accept a value.
 
     Examples
     --------

@@ -64,8 +64,8 @@ def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
 
     Explanations are effects, "none", "unknown", and "coefficients": an error that all coefficients have
     in common. ``evidence`` has the ln Bayes factor of each, and ``prior`` its probability before the
-    measurement. The Bayes factor times this probability, raised to the power `Prior.sharpness`, is
-    scaled so that the results sum to 1.
+    measurement. Their product is raised to the power `Prior.sharpness`, which is 1 for handbook
+    coefficients and up to 1.4 for measured ones, and scaled so that the probabilities sum to 1.
     """
     log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))
@@ -78,14 +78,14 @@ def by_family(
     """Return the probability of each group of effects, the most probable first.
 
     ``probabilities`` are those of single effects, by name, and ``effects`` the effects with these
-    names. "none", "coefficients" and "unknown" are groups by themselves. "added absorption" is the sum
-    of all groups whose names begin with these words.
+    names. "none", "coefficients" and "unknown" are groups by themselves. If there are several groups
+    such as "added absorption, rising", their sum has the name "added absorption".
     """
     return with_added(summed((family_of(name, effects), p) for name, p in probabilities.items()))
 
 
 def with_added(families: Mapping[str, float]) -> dict[str, float]:
-    """Return the probabilities of groups and of all added absorption, the most probable first."""
+    """Return probabilities of groups of effects with one more: the sum of all added absorption."""
     out = dict(families)
     absorption = [p for family, p in out.items() if family.startswith(f"{_ABSORPTION},")]
     if len(absorption) > 1:
@@ -102,12 +102,12 @@ def summed(parts: Iterable[tuple[Key, float]]) -> dict[Key, float]:
 
 
 def most_probable_first(values: Mapping[Key, float]) -> dict[Key, float]:
-    """Return the same probabilities, sorted so that the most probable comes first."""
+    """Return the entries of a mapping, sorted by falling probability."""
     return dict(sorted(values.items(), key=lambda kv: -kv[1]))
 
 
 def family_of(name: str, effects: Mapping[str, Effect]) -> str:
-    """Return the name of the group of an effect, or of "none", "coefficients" or "unknown"."""
+    """Return the group of an effect; "none", "coefficients" and "unknown" are their own groups."""
     return name if name in (NONE, COEFFICIENTS, UNKNOWN) else effects[name].family
 
 
@@ -121,9 +121,9 @@ Names = tuple[str, ...]
 
 
 def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
-    """Return the names of the effects' groups, sorted.
+    """Return the names of the groups of several effects, sorted.
 
-    All groups of "added absorption" count as one.
+    All groups of "added absorption" have this one name. ``effects`` are the effects by name.
     """
     return tuple(sorted(wide(family_of(name, effects)) for name in names))
 
@@ -135,7 +135,7 @@ def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
-    """Return the most specific group of effects whose probability is at least ``least``, or None.
+    """Return the most specific group of effects with a probability of at least ``least``, or None.
 
     ``families`` are the probabilities of the groups, by name. "added absorption, rising" is more
     specific than "added absorption". The group "none" does not count.
@@ -146,10 +146,10 @@ def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
 
 @dataclass(frozen=True)
 class Reason:
-    """Hold a reason, caution or advice as a code with its values; ``str`` returns it as a sentence.
+    """Hold a reason, caution or advice, which ``str`` returns as a sentence.
 
-    ``values`` are the numbers and names that are inserted in the sentence. `rtcal.report.finding_words`
-    has the sentence of each ``code``.
+    ``code`` is a short text that identifies the sentence, such as "gap grows". ``values`` are the
+    numbers and names that are inserted in it. The sentences are in `rtcal.report.finding_words`.
     """
 
     code: str
@@ -190,7 +190,7 @@ much. Chosen on development rooms."""
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """Hold what is identified: the fields of a `Finding` that `conclude` decides."""
+    """Hold the verdict of a search and what is identified, as `conclude` decides it for a `Finding`."""
 
     verdict: str
     family: str | None = None
@@ -208,13 +208,20 @@ def conclude(
 ) -> Claim:
     """Return the verdict of a search, the effect or group that is identified, and the reasons.
 
-    ``detected`` is None if a difference from the model is detected, else the verdict "none" or "hint".
-    ``probabilities`` and ``families`` are those of effects and of groups, the most probable first.
-    ``by_family_alone`` are effects that cannot be identified, only their group (`Effect.alone`).
-    ``reasons`` are doubts about the most probable effect, and `LEAVES` has the verdict that is possible
-    with each. ``weak`` is the reason why the data are too weak (`too_weak`), or why the difference may
-    be a program's own error (`of_program`). With the first, the verdict is "hint" unless an effect or a
-    group is identified. With the second, nothing is identified.
+    Parameters
+    ----------
+    detected : str or None
+        "none" or "hint" if no difference from the model is detected, which is then the verdict.
+    probabilities, families : mapping of str to float
+        Probabilities of the effects and of their groups, the most probable first.
+    by_family_alone : collection of str
+        Names of effects of which only the group can be identified (`Effect.alone`).
+    reasons : sequence of Reason
+        Doubts about the most probable effect. `LEAVES` has the verdict that remains with each.
+    weak : Reason, optional
+        Reason why the data are too weak (`too_weak`), which makes the verdict "hint" unless an effect
+        or a group is identified; or why the difference may be a program's own error (`of_program`),
+        with which nothing is identified if an uneven field is the most probable group.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):
@@ -244,7 +251,11 @@ def conclude(
 
 
 def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> Reason | None:
-    """Return the reason why the data are too weak although the score exceeds its threshold, or None."""
+    """Return the reason why the data are too weak to report something missing, or None.
+
+    There is a reason if "none" still has a probability of 1/3 or more, or if no effect and no group has
+    as much, although the score exceeds its threshold.
+    """
     nothing = probabilities.get(NONE, 0.0)
     if nothing >= FAIR:
         return Reason("nothing likely", {"probability": nothing})
@@ -259,10 +270,11 @@ FIELD = "field"
 def of_program(families: Mapping[str, float]) -> Reason | None:
     """Return the reason why a difference may be a geometrical program's own error, or None.
 
-    ``families`` are the probabilities of groups of effects, by name. "field" is the group of an uneven
-    sound field and a second room. There is a reason if "field" or "unknown" is probable and all other
-    effects are improbable: a geometrical program simulates such a field itself, and in uneven fields
-    two programs differ by more than the reference simulations show (benchmarks/studies/runs).
+    A geometrical program (rays or image sources) simulates uneven sound fields and second rooms, which
+    are the group "field"; and in uneven fields two such programs differ by more than rtcal's reference
+    simulations show (benchmarks/studies/runs). There is a reason if "field" or "unknown" is probable
+    and all other groups are improbable. ``families`` are the probabilities of groups of effects, by
+    name.
 
     Examples
     --------
@@ -279,7 +291,10 @@ def of_program(families: Mapping[str, float]) -> Reason | None:
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the most probable explanations but "none", whose probabilities add up to `CREDIBLE`."""
+    """Return the most probable explanations that together have 0.9 of the probability.
+
+    "none" is left out, and the 0.9 is a share of the probability of all other explanations.
+    """
     some = {k: p for k, p in probabilities.items() if k != NONE}
     total, held, out = sum(some.values()), 0.0, []
     for name, p in some.items():
@@ -311,10 +326,10 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
 
 @dataclass(frozen=True)
 class Size:
-    """Hold the size of an effect: its mean, and the ends ``low`` and ``high`` of its 90 % interval.
+    """Hold the most likely size of an effect and its 90 % interval, such as 12 m² (8 to 17).
 
-    Mean and ends are in ``unit``. ``end`` is "least" if the data allow any size above ``low``, "most"
-    if they allow any size below ``high``, and "" otherwise.
+    ``mean``, ``low`` and ``high`` are in ``unit``. ``end`` is "least" if the data allow any size above
+    ``low``, "most" if they allow any size below ``high``, and "" if both ends are known.
     """
 
     mean: float
@@ -325,7 +340,9 @@ class Size:
 
     @property
     def words(self) -> str:
-        """Size of the effect with its 90 % interval, or with its only limit, as text.
+        """Size of the effect with its 90 % interval, as text; if one end is open, with its only limit.
+
+        The limit holds with a probability of 95 %.
 
         Examples
         --------
@@ -352,7 +369,10 @@ LOCATED = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """Hold an effect that explains the data, with its probability, size and, at positions, place."""
+    """Hold one possible explanation of the data: an effect, its probability, its size and its place.
+
+    The place is known only if positions were compared. ``family`` is the group of the effect.
+    """
 
     effect: str
     family: str
@@ -390,7 +410,7 @@ class Candidate:
         return Size(self.size, self.low, self.high, self.unit, self.end)
 
     def applied(self, effect: Effect) -> AppliedEffect:
-        """Return the effect with its parameters, size and interval, for the model of a case."""
+        """Return the effect with this candidate's parameters and size, for the model of a case."""
         ends = None if self.extent is None else (self.low, self.high)
         return AppliedEffect(effect, self.parameters, ends)
 
@@ -401,49 +421,54 @@ class Candidate:
 
     @property
     def middle(self) -> Point | None:
-        """Middle (x, y, z) in m of the part with at least half of the probability; None without one."""
+        """Middle (x, y, z) in m of the part of the surface that is most probable.
+
+        None if no part has at least half of the candidate's probability.
+        """
         middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
         return middle if probability >= LOCATED * self.probability else None
 
     @property
     def shown_as(self) -> str:
-        """Name of the effect in print: `effect`, but "number" for a wrong number of pieces."""
+        """Name of the effect as printed: for a wrong number of pieces "number" instead of "area"."""
         return WrongArea.NUMBER if self.unit == WrongArea.OF_NUMBER else self.effect
 
     @property
     def title(self) -> str:
-        """Name of the effect and its place, as part of a sentence."""
+        """Name of the effect and its place, as part of a sentence, such as ``curtain on "west"``."""
         return f"{self.shown_as} {self.where}".rstrip()
 
     @property
     def where(self) -> str:
-        """Place of the effect as part of a sentence; "" for the whole room."""
+        """Place of the effect as part of a sentence, such as ``on "west"``; "" for the whole room."""
         if self.surface is not None:
             return f'on "{self.surface}"'
         return f"of {self.place}" if self.place else ""
 
     @property
     def kind(self) -> str:
-        """Name of the effect's group; all groups of added absorption have one name."""
+        """Name of the effect's group; all groups of "added absorption" have this one name."""
         return wide(self.family)
 
     @property
     def can_be_added(self) -> bool:
-        """Whether the effect is on a surface and can be added to the model of a single room."""
+        """Whether `Finding.apply` can add the effect at positions: on a surface, and no second room."""
         return self.surface is not None and self.effect != CoupledRoom.name
 
     @property
     def in_words(self) -> str:
-        """Size of the effect with its interval, in words; "" for an effect without a size."""
+        """Size of the effect with its 90 % interval as text; "" for an effect without a size."""
         return "" if self.extent is None else self.extent.words
 
 
 @dataclass(frozen=True)
 class Detection:
-    """Hold the score by which a difference from the model is detected, and the score's threshold.
+    """Hold how clearly the data differ from the room's model: a score and the threshold for it.
 
-    The score is a ln Bayes factor: how much more probable the data are if the room differs from the
-    model than if it does not. Raises ModelError for a score that is not a finite number.
+    The score is a ln Bayes factor: the natural logarithm of how many times more probable the data are
+    if something is missing from the model than if nothing is. A difference is detected if the score of
+    all data, or of one of the ``parts``, exceeds its threshold. Raises ModelError for a score that is
+    not a finite number.
     """
 
     score: float
@@ -471,9 +496,9 @@ class Detection:
 
     @property
     def deciding(self) -> str | None:
-        """Name of the part of the data that detects most, if all data together detect nothing.
+        """Name of the part of the data that alone detects a difference.
 
-        None without one.
+        None if all data together detect one, or if no part does.
         """
         excess = {words: part.score - part.threshold for words, part in self.parts.items()}
         most = max(excess, key=lambda words: excess[words], default="")
@@ -481,7 +506,10 @@ class Detection:
 
     @property
     def verdict(self) -> str | None:
-        """Verdict "none" or "hint" where nothing is detected; None where something is."""
+        """Verdict if nothing is detected: "hint" if a score is above 0, else "none".
+
+        None if something is detected.
+        """
         if self.score > self.threshold or self.deciding is not None:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"

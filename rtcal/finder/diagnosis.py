@@ -27,7 +27,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Diagnosis(Result):
-    """Hold an effect found missing from the model, its check on held-out data, and the new model."""
+    """Hold what is missing from a room's model, a check of it, and the corrected and calibrated model.
+
+    ``finding`` is what `rtcal.find` found, ``verification`` its check on data that were held out, and
+    ``calibrated`` the calibration with the effect in the model.
+    """
 
     record_kind: ClassVar[str] = "diagnosis 1"
     words_in: ClassVar[str] = "rtcal.report.of_diagnosis"
@@ -86,10 +90,13 @@ def diagnose(
 ) -> Diagnosis:
     """Find the effect that is missing from a model, check it on held-out data, add it, and calibrate.
 
+    The steps are those of `rtcal.find`, `rtcal.finder.verify`, `Finding.apply` and a calibration. If no
+    effect is probable enough to be added, or the check fails, the model is calibrated without it.
+
     Parameters
     ----------
     room : Room, or a case
-        Room with its input coefficients, or a case that contains the measurement.
+        Room with its input coefficients, or a case that contains the room and its measurement.
     measured : Measurement, optional
         Measurement of the room; not given with a case.
     simulator, cache, progress, scheduler
@@ -99,10 +106,15 @@ def diagnose(
     **options
         Further options of `rtcal.find`.
 
+    Returns
+    -------
+    Diagnosis
+        Finding, its check, and the corrected and calibrated room.
+
     Raises
     ------
     DataError
-        As `rtcal.find` does, and for a `StatesCase`.
+        As `rtcal.find` does, and for two states (`StatesCase`), which have no model to correct.
 
     Examples
     --------
@@ -125,7 +137,12 @@ def diagnosis(
     *,
     cache: str | os.PathLike[str] | None = None,
 ) -> Diagnosis:
-    """Return the diagnosis of a finding: add the verified effect to the model, and calibrate it."""
+    """Return the diagnosis of a finding: its effect is added to the model, which is then calibrated.
+
+    ``verification`` is the check of the finding, None without one. If it withdraws the effect, the
+    model is calibrated without the effect. ``cache`` is the folder for simulations at positions. Raises
+    DataError for a finding of two states, which has no model to correct.
+    """
     if finding.kind == "states":
         raise DataError(
             "a diagnosis compares a model with one measurement, not with two configurations"

@@ -271,7 +271,7 @@ class AbsorbingObject(Effect):
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the state of the room with the objects added."""
-        each = interpolate_octaves(state.frequencies, self.each)
+        each = _interpolate_octaves(state.frequencies, self.each)
         return state.with_objects(parameters[self.size] * each)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
@@ -297,7 +297,7 @@ class Absorber(AbsorbingObject):
 
     def limits(self, room: Room | None) -> Limits:
         """Return the limits of all parameters; the size is an area from 0 to that of all surfaces."""
-        return {**super().limits(room), self.size: (0.0, all_surfaces(room))}
+        return {**super().limits(room), self.size: (0.0, _all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return the absorber in each of its `kinds`: parameters, and alpha (n_bands,) on a surface."""
@@ -335,7 +335,7 @@ class Absorber(AbsorbingObject):
         return covered([state] * len(grid), areas, np.array([spectra[kind] for kind in kinds]))
 
 
-def all_surfaces(room: Room | None) -> float:
+def _all_surfaces(room: Room | None) -> float:
     """Return the area of all surfaces of a room in m².
 
     If ``room`` is None, the result is the largest area that rtcal allows for any room.
@@ -349,7 +349,7 @@ def middle_absorption(state: RoomState) -> float:
     return float(area[bands.is_middle(state.frequencies)].mean())
 
 
-def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
+def _interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
     """Return octave values from 63 Hz to 8 kHz at other frequencies, linear in the log frequency."""
     centres = np.log(62.5 * 2.0 ** np.arange(8))
     return np.asarray(np.interp(np.log(frequencies), centres, octaves))
@@ -542,7 +542,7 @@ class Audience(AbsorbingObject):
 
     def limits(self, room: Room | None) -> Limits:
         """Return the limits of the size, up to an audience that covers all surfaces."""
-        return {self.size: (0.0, SEATED_ALPHA * all_surfaces(room))}
+        return {self.size: (0.0, SEATED_ALPHA * _all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the state of the room with the audience added."""
@@ -551,7 +551,7 @@ class Audience(AbsorbingObject):
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return the audience's alpha, (n_bands,), as the only combination of parameters."""
-        seated = interpolate_octaves(frequencies, self.SEATED)
+        seated = _interpolate_octaves(frequencies, self.SEATED)
         return [({}, np.minimum(SEATED_ALPHA * seated, 1.0))]
 
 
@@ -1018,7 +1018,7 @@ class CoupledRoom(Effect):
 
     def limits(self, room: Room | None) -> Limits:
         """Return the limits of the parameters; the aperture is at most as large as all surfaces."""
-        return {**super().limits(room), "aperture": (0.0, all_surfaces(room))}
+        return {**super().limits(room), "aperture": (0.0, _all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the state of the room coupled to the second one."""

@@ -72,13 +72,16 @@ DATA = {"means": "means over positions", "positions": "positions", "states": "tw
 class Finding(Result):
     """Hold what `rtcal.find` found: what is missing from a room's model, or what changed in the room.
 
+    ``print`` shows it in words. `apply` adds what was found to the model, and `rtcal.finder.verify`
+    checks it. Some fields are for one kind of data only: means over positions, every position, or two
+    states (measurements before and after a change of the room).
+
     Notes
     -----
-    The data are means over positions, values at every position, or measurements before and after a
-    change of the room. For the latter, ``score`` is a ln Bayes factor: the natural logarithm of how
-    many times more probable the measurements are if something changed than if nothing changed. If
-    nothing changed and the noise is as assumed, the mean Bayes factor is 1, so that the score exceeds
-    the threshold ln 20 in at most one of twenty cases (Markov's inequality). If you exchange the two
+    ``score`` is a ln Bayes factor: the natural logarithm of how many times more probable the
+    measurement is if something is missing (or has changed) than if nothing is. For two states the
+    threshold is ln 20: if nothing changed and the noise is as assumed, the mean Bayes factor is 1, so
+    that at most one of twenty cases exceeds it (Markov's inequality). If you exchange the two
     measurements, "added" and "removed" are exchanged and every change has the other sign.
     """
 
@@ -198,7 +201,7 @@ class Finding(Result):
 
     @property
     def kind(self) -> Kind:
-        """Kind of data that was compared: means over positions, every position, or two states."""
+        """Kind of data: "means" over positions, "positions" or "states" (before and after a change)."""
         of: Kind = self.case.kind
         return of
 
@@ -226,22 +229,23 @@ class Finding(Result):
 
     @property
     def best(self) -> Candidate | None:
-        """Most probable candidate; None where the verdict is "none"."""
+        """Most probable explanation (`Candidate`); None if the verdict is "none"."""
         return self.candidates[0] if self.candidates and self.verdict != "none" else None
 
     @property
     def best_effect(self) -> str | None:
-        """Name of the most probable effect, "coefficients" or "unknown".
+        """Name of the most probable effect, which may be "coefficients" or "unknown".
 
-        None where the verdict is "none".
+        None if the verdict is "none".
         """
         return None if self.best is None else self.best.effect
 
     @property
     def effect(self) -> str | None:
-        """Name of the effect that is identified.
+        """Name of the identified effect, or for means over positions of the most probable one.
 
-        For means otherwise the most probable one, but None for a group.
+        None if the verdict is "none" or only a group of effects is identified ("family"); at positions
+        and for two states also if no single effect is identified.
         """
         if self.named or self.kind != "means" or self.verdict == "family":
             return self.named[0] if self.named and self.verdict not in ("none", "family") else None
@@ -256,25 +260,25 @@ class Finding(Result):
     def score(self) -> float:
         """Natural logarithm of the Bayes factor that something is missing or changed.
 
-        See ``threshold``.
+        Something is detected if it exceeds ``threshold``.
         """
         return self.detection.score
 
     @property
     def threshold(self) -> float:
-        """Value that ``score`` exceeds in at most 5 % of simulated rooms with nothing missing."""
+        """Value that the score exceeds in at most 5 % of rooms in which nothing is missing."""
         return self.detection.threshold
 
     @property
     def detected(self) -> bool:
-        """Whether something is missing or changed, so that the verdict is neither "none" nor "hint"."""
+        """Whether something is missing or changed: the verdict is neither "none" nor "hint"."""
         return self.verdict not in ("none", "hint")
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Probability that 0, 1, 2, ... effects are missing from the model.
+        """Probabilities that 0, 1, 2, ... effects are missing from the model.
 
-        For means over positions only.
+        For means over positions; for other data they have no meaning.
         """
         return numbers_of(self.sets)
 
@@ -285,26 +289,34 @@ class Finding(Result):
 
     @property
     def likely_sets(self) -> dict[Names, float]:
-        """Probability of each combination of effects that is printed; empty if each has one effect."""
+        """Probability of each combination of effects that has at least 0.03.
+
+        Each combination is a tuple of names. Empty unless combinations of two or more effects were
+        tried.
+        """
         return {s: p for s, p in self.sets.items() if p >= SAID} if self.more_than_one else {}
 
     @property
     def family_sets(self) -> dict[Names, float]:
-        """Probability of each combination of groups, for means.
+        """Probability of each combination of groups of effects, such as an absorber and a second room.
 
-        All groups of "added absorption" count as one.
+        For means over positions; empty for other data. All kinds of "added absorption" count as one
+        group.
         """
         sets = self.sets if self.kind == "means" else {}
         return summed((families_of(names, self.effects), p) for names, p in sets.items())
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """Common error of all input coefficients, in addition to the most probable effects; or None."""
+        """Error that all input coefficients have in common, in addition to the most probable effects.
+
+        None if such an error has a probability below 0.5, or if positions or two states were compared.
+        """
         of = self.candidate(self.members[-1]) if self.members else None
         return None if of is None else of.coefficients
 
     def candidate(self, effect: str | None) -> Candidate | None:
-        """Return the most probable candidate of the effect with this name, or None."""
+        """Return the most probable candidate with the effect of this name; None if there is none."""
         return next((c for c in self.candidates if c.effect == effect), None)
 
     @property
@@ -315,9 +327,9 @@ class Finding(Result):
 
     @property
     def likely_surfaces(self) -> Names:
-        """Names of the most probable surfaces, whose probabilities together reach `LIKELY`.
+        """Names of the most probable surfaces, whose probabilities together reach 0.7.
 
-        Empty if it is improbable (below `SAID`) that the missing object is on a surface.
+        Empty if the probability that anything is missing on a surface is below 0.03.
         """
         if sum(c.probability for c in self.candidates if c.surface is not None) < SAID:
             return ()
@@ -326,10 +338,11 @@ class Finding(Result):
 
     @property
     def likeliest(self) -> Candidate | None:
-        """Most probable candidate that is an effect of the library, which `apply` adds; or None.
+        """Most probable effect of the library, which `apply` adds; None if no effect is probable.
 
-        If positions were compared and the verdict is "unknown", there is such a candidate only if its
-        surface or its group has at least half of the probability of all known effects.
+        If the verdict is "unknown" at positions, this is the most probable effect that is known,
+        provided that its surface or its group has at least half of the probability of all known
+        effects.
         """
         known = [c for c in self.candidates if c.effect != UNKNOWN] if self.best else []
         if not known or self.verdict != UNKNOWN:
@@ -342,23 +355,27 @@ class Finding(Result):
 
     @property
     def identified_surfaces(self) -> Names:
-        """Names of surfaces that changed between two states, each with a probability of 0.9 or more."""
+        """Names of the surfaces that changed between two states with a probability of 0.9 or more."""
         return tuple(name for name, p in self.surfaces.items() if p >= CLAIMED)
 
     @property
     def spectrum(self) -> str:
-        """Trend of a change over frequency: rising, falling or constant; "" for a single band."""
+        """Trend of the change of absorption over frequency, for two states.
+
+        The text is "rising with frequency", "falling with frequency" or "alike at all frequencies"; ""
+        for a single band and for other data.
+        """
         change = np.atleast_2d(self.change)[0]
         change = change[np.isfinite(change)]
         return over_frequency(change) if len(change) > 1 else ""
 
     @property
     def can_be_added(self) -> bool:
-        """Whether `apply` can add the effect that was found to the model.
+        """Whether `apply` can add what was found to the model.
 
-        If means were compared, the effect must be one of the library. If positions were compared,
-        something must be detected on a surface, and it must not be an aperture to a second room. If two
-        measurements of the room were compared, its absorption must have changed.
+        For means, an effect of the library must be detected. At positions, something must be detected
+        on a surface, and it must not be an aperture to a second room. For two states, the absorption
+        must have changed, and not only the climate.
         """
         if self.kind == "means":
             return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
@@ -368,11 +385,11 @@ class Finding(Result):
 
     @property
     def can_be_verified(self) -> bool:
-        """Whether `rtcal.finder.verify` can check the finding.
+        """Whether `rtcal.finder.verify` can check the finding on data that were held out.
 
-        If means were compared, exactly one effect must be missing, with a probability of at least
-        `LEAST_ADDED`. Otherwise there must be at least `LEAST_PAIRS` source-receiver pairs, so that one
-        half of them can predict the other half.
+        For means, exactly one effect must be found, with a probability of at least 0.3. At positions
+        and for two states, there must be at least four source-receiver pairs, because one half of them
+        predicts the other half.
         """
         if self.kind == "means":
             return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
@@ -387,7 +404,7 @@ class Finding(Result):
 
     @property
     def leading(self) -> Reason | None:
-        """Caution to read before the result, because T is far from the model's; None without one."""
+        """Caution that T is far from the model's, to be read before the result; None without it."""
         if self.kind == "positions":
             return self.mistake
         first = next(iter(self.reasons), None)
@@ -396,7 +413,7 @@ class Finding(Result):
 
     @property
     def refusal(self) -> Reason | None:
-        """Reason why there is no effect to add; None if there is one."""
+        """Reason why `apply` has nothing to add to the model; None if it has."""
         if self.can_be_added:
             return None
         if self.kind == "states":
@@ -413,11 +430,12 @@ class Finding(Result):
 
     @property
     def undecided(self) -> Reason | None:
-        """Reason why you must give `apply` the name of an effect; None if you need not.
+        """Reason why `apply` needs the name of an effect; None if it needs none.
 
-        The reason is that no effect has a probability of `LEAST_ADDED`. Effects of one group on one
-        surface count together, because they change the model alike. If the verdict is "unknown", a
-        probability is a share of that of all known effects.
+        The name is needed if no effect has a probability of at least 0.3. At positions, effects of one
+        group on one surface count together, because they change the model alike; if the verdict is
+        "unknown", the probability is the share among the known effects. For means, a wrong volume also
+        needs its name unless it is identified.
         """
         best, known = self.likeliest, [c for c in self.candidates if c.effect != UNKNOWN]
         if not self.can_be_added or self.kind == "states" or best is None:
@@ -454,30 +472,35 @@ class Finding(Result):
     ) -> Corrected:
         """Return the model with the effect that was found, as a room and as a simulator.
 
-        If means were compared, the most probable combination of effects is added, each with its size;
-        if only a group or nothing is identified, the most probable candidate. If all input coefficients
-        have an error in common, the room's alpha is corrected and its sigma increased. If positions
-        were compared, the most probable candidate becomes a patch on its surface. If two measurements
-        of the room were compared, the result is the room after the change. An effect with a probability
-        below 0.3 is added only if you name it as ``effect``.
+        For means over positions, the most probable combination of effects is added, each with its most
+        probable size; if only a group is identified, or several groups are possible, the most probable
+        effect. An error that all input coefficients have in common is corrected in alpha, and increases
+        sigma. At positions, the most probable effect becomes a patch on its surface. For two states,
+        the result is the room after the change. An effect with a probability below 0.3 is added only if
+        you name it as ``effect``.
 
         Parameters
         ----------
         effect : str, optional
             Name of the candidate to add instead of the most probable one.
         form : {"patch", "material"}, optional
-            Form of the effect at positions. "patch", the default, adds an area of the candidate's size
-            with a new material. "material" gives the whole surface a new material with the same
-            absorption. A patch that does not fit becomes a material: see `Corrected.notes`.
+            Form of the effect at positions. "patch", the default, is an area of the effect's size with
+            a new material. "material" gives the whole surface a new material with the same absorption.
+            A patch that does not fit becomes a material: see `Corrected.notes`.
         at : (x, y, z), optional
-            Middle of the patch in m, at positions; by default the candidate's ``middle``, or the middle
-            of the surface. The patch is on the surface at this point.
+            Middle of the patch in m, at positions; it also chooses the surface. By default the
+            candidate's ``middle``, or the middle of its surface.
+
+        Returns
+        -------
+        Corrected
+            Room and, at positions, geometry with the effect, and notes on what was changed.
 
         Raises
         ------
         DataError
             If there is nothing to add; if ``effect`` is not a candidate; if ``effect`` is not given and
-            the most probable candidate has a probability below 0.3; for a volume that is not
+            the most probable candidate has a probability below 0.3; for a wrong volume that is not
             identified; if ``at`` is on no surface, or on one on which nothing was found; for an
             argument that does not apply to the data.
 
@@ -531,8 +554,9 @@ class Finding(Result):
         return replace(made, support=str(support(self, best)))
 
     def chosen(self, effect: str | None = None) -> Names:
-        """Return the names of the effects that `apply` adds, for means.
+        """Return the names of the effects that `apply` adds, for means over positions.
 
+        ``effect`` is the name that you would give to `apply`; None means the most probable combination.
         Raises DataError as `apply` does.
         """
         if not self.can_be_added:
@@ -550,10 +574,10 @@ class Finding(Result):
     def with_effects(
         self, case: Case | None = None, added: Sequence[Candidate] | None = None
     ) -> Case:
-        """Return a case whose model has the most probable effects, or the candidates ``added``.
+        """Return a case with effects in its model, for means over positions, however probable they are.
 
-        ``case`` is the case to which the effects are added; None means the finding's case. They are
-        added however probable they are.
+        ``case`` is the case to which they are added; None means the case of this finding. ``added`` are
+        the candidates to add; None means the most probable combination.
         """
         base: Case = self.case if case is None else case
         present = {a.name for a in base.applied}
@@ -599,13 +623,21 @@ _RECORDED = {
 
 
 def feature_names(measured: Measurement) -> tuple[str, ...]:
-    """Return the names of the compared parameters as printed, with the T that was measured."""
+    """Return the five names under which means over positions are compared, as they are printed.
+
+    They are T20, EDT/T20, T30/T20, C80 and G, with T30 in place of T20 if only T30 was measured.
+    """
     time = measured.time_label
     return time, f"EDT/{time}", "T30/T20", "C80", "G"
 
 
 def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
-    """Return the candidates that are not in the most probable combination, or are not ``best``."""
+    """Return the other explanations of the data, beside the most probable one.
+
+    For means, these are the candidates outside the most probable combination. Otherwise they are the
+    candidates, with a probability of at least 0.03, of the set that has 0.9 of the probability.
+    ``best`` is the candidate that is left out; None leaves out the most probable combination only.
+    """
     if f.kind == "means":
         if best is not None and best.effect not in f.names[: max(1, len(f.members))]:
             return tuple(c for c in f.candidates if c is not best)
@@ -616,7 +648,7 @@ def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
 
 
 def support(f: Finding, best: Candidate) -> Reason:
-    """Return a reason with the verdict, the best effect, and the others that explain the data."""
+    """Return a sentence (`Reason`) on how sure an effect is, and what else explains the data."""
     others = rivals(f, best)
     values = {"verdict": f.verdict, "best": best, "others": others}
     return Reason("support" if others else "sole", values)

@@ -40,60 +40,67 @@ def find(
 ) -> Finding:
     """Find what is missing from a room's model and, if positions were measured, on which surface.
 
-    With a measurement of each source-receiver pair, and a simulator or a room that has its mesh,
-    sources and receivers, every pair is compared with a path tracing. Otherwise means over positions
-    are compared with reverberation equations. The same library of effects is tried for both.
+    Each effect of a library (an opening, a curtain, a wrong volume, ...) is added to the model, and its
+    probability is calculated from the measurement. If the measurement has a value for each
+    source-receiver pair, and the room has a mesh with sources and receivers or a ``simulator`` is
+    given, every pair is compared with a path tracing. Otherwise means over positions are compared with
+    a reverberation equation.
 
     Parameters
     ----------
     room : Room, or a case
-        Room with its input coefficients, or a case that contains the measurement: a `rtcal.finder.Case`
-        with several configurations or another equation, or a `rtcal.finder.PositionsCase` with a
-        simulator.
+        Room with its input coefficients, or a case that contains the room and its measurement: a
+        `rtcal.finder.Case` with several configurations or another equation, or a
+        `rtcal.finder.PositionsCase` with a simulator.
     measured : Measurement, optional
         Measurement of the room; not given with a case.
     simulator : PathTracing, optional
-        Simulator of the room; by default a path tracing of the room's scene, if it has one.
+        Simulator of the room; by default rtcal makes one if the room has a mesh with sources and
+        receivers.
     before : Measurement, optional
-        Measurement at the same positions before a change. rtcal then finds this change, instead of what
-        is missing from the model (`rtcal.finder.states`), and does not use the room's coefficients.
-        ``controls``, ``cache``, ``progress`` and ``scheduler`` cannot be given with it.
+        Measurement at the same positions before the room was changed. rtcal then finds what changed
+        from ``before`` to ``measured``, and the room's coefficients have no effect
+        (`rtcal.finder.states`). ``controls``, ``cache``, ``progress`` and ``scheduler`` cannot be given
+        with it.
     simulated : Run, optional
-        Values of a simulation program, with the coefficients that it used. They are compared with the
-        measurement in place of the equation's results, so that errors of the equation are not taken for
-        errors of the room. The equation then only gives their change with coefficients and effects.
+        Result of a simulation program such as ODEON, with the coefficients that it used. It is compared
+        with the measurement in place of the equation's result, so that errors of the equation are not
+        taken for errors of the room. rtcal's equation is then only used for the differences that other
+        coefficients and effects would make to this result.
     program : {"", "geometrical"}
-        Kind of the simulation program, for means over positions. A geometrical program simulates uneven
-        sound fields, and a second room that you drew. A difference that only these effects explain is
-        then not reported as an error of the room's model.
+        Kind of the simulation program, for means over positions. "geometrical" says that the program
+        traces rays or image sources: rtcal then does not report an uneven sound field or a second room
+        as missing, because the program simulates both itself. "" says nothing.
     tracing : mapping, optional
-        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, if rtcal traces the room's
-        mesh and you give no ``simulator``.
+        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, if rtcal makes the
+        simulator.
     seed : int
         Seed of the random numbers; without effect for means over positions.
     **options
         - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. With
-          ``before``, those that add absorption are tried, as added and as removed.
+        ``before``, only effects that add absorption are used, once as added and once as removed.
         - ``only``, ``without``: names of the effects to try alone, or to leave out. With ``before``
-          also "air" for the climate and "unknown" for a spectrum that no effect has.
-        - ``controls``: `ControlRuns`, or a sequence of `ControlRooms`; the model's error from an
-          earlier search, which is otherwise simulated.
+        also "air" for the climate, and "unknown" for a change that has the spectrum of no effect.
+        - ``controls``: errors of the model, which an earlier finding of this room has, so that they
+        are not simulated again: `ControlRuns` at positions, a sequence of `ControlRooms` for means.
         - ``cache``: folder in which simulations are kept for the next search.
         - ``progress``: function that is called with the name of the step, and with the numbers of
-          finished and of all steps.
+        finished and of all steps.
         - ``scheduler``: address of a Dask scheduler whose workers simulate; by default this machine.
         - ``prior`` and ``most``, for means over positions only: see `rtcal.finder.means.search.find`.
 
     Returns
     -------
     Finding
+        Verdict, the probability of each effect and surface, the size of what was found, and cautions.
+        ``print`` shows them, and `Finding.apply` adds the effect to the model.
 
     Raises
     ------
     DataError
-        If a room is given without ``measured``, or a case with it; for an unknown effect, an option
-        that does not apply to the data, or too few pairs; and as `rtcal.finder.Case` and the other
-        cases do.
+        If ``measured`` is missing, or given with a case; for an unknown effect, an option that does not
+        apply to the data, or too few pairs; if the room has already been calibrated to this
+        measurement; and for other input that the case does not accept.
 
     Examples
     --------

@@ -1407,7 +1407,7 @@ def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, N
         # These are predicted already.
         of = compared.moments(members[0] if most else np.zeros(len(sets), dtype=int), members)
     else:
-        made = predict_states(compared.case, states_of(compared, sets))
+        made = predict_states(compared.case, _states_of(compared, sets))
         of = compared.moments(np.arange(len(sets)), members, made)
     possible = np.asarray(np.isfinite(of.mean).all(1) & np.isfinite(of.covariance).all((1, 2)))
     of.mean[~possible], of.covariance[~possible] = 0.0, np.eye(of.mean.shape[1])
@@ -1415,7 +1415,7 @@ def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, N
     return of, possible
 
 
-def states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[RoomState]]:
+def _states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[RoomState]]:
     """Return the room's states with the effects of each set, for every configuration."""
     predicted, out = compared.predicted, []
     for where in compared.case.configurations:
@@ -1435,7 +1435,7 @@ def states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[Room
     return out
 
 
-def unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
+def _unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
     """Return the log evidence, (n_rows,), of single effects in combination with an unknown effect."""
     of, _ = moments(compared, [(i,) for i in rows.tolist()])
     residual, ends = compared.observed.values - of.mean, [of.mean.shape[1]]
@@ -1459,7 +1459,7 @@ def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)
     room, (c, f, b) = compared.case.room, compared.places
-    made = predict_states(compared.case, states_of(compared, sets))
+    made = predict_states(compared.case, _states_of(compared, sets))
     _, changed, rho, *_ = _uncertain(compared.case)
     # What stands where a configuration changed a material is another one.
     per_alpha = -np.where(changed, 0.0, made.jacobian)
@@ -1632,7 +1632,7 @@ class _Tables:
         alone |= {(n,): [(int(i),) for i in rows] for n, rows in self._rows.items()}
         self._evaluate(alone, dict.fromkeys(alone, 0.0))
         if self._unknown:
-            self.log[UNKNOWN,] = float(unknown_beside(compared, np.array([0]))[0])
+            self.log[UNKNOWN,] = float(_unknown_beside(compared, np.array([0]))[0])
             self.off[UNKNOWN,], self.best[UNKNOWN,] = self.off[()], ()
 
     def likely(self, weight: Callable[[Names], float]) -> list[tuple[Members, float]]:
@@ -1683,7 +1683,7 @@ class _Tables:
     def _add_unknown(self) -> None:
         log = np.array([self._by_rows.get((i,), -np.inf) for i in range(len(self._weights))])
         beside = np.argsort(-log)[:_BESIDE]
-        values = unknown_beside(self._compared, beside)
+        values = _unknown_beside(self._compared, beside)
         for n in self.order:
             at = np.flatnonzero(np.isin(beside, self._rows[n]))
             if len(at):

@@ -126,19 +126,26 @@ def find(
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
     prior : mapping of str to float, optional
-        How probable an effect is before the measurement, relative to a usual effect, in place of its
-        own value: ``{"opening": 2.0}``. "none" has the odds that nothing is missing, "coefficients" the
-        odds that all coefficients have an error in common. If ``most`` is above 1, the number of
-        missing effects has a Poisson distribution, whose mean is 0.7 or follows from the odds of
+        How probable an effect is before the measurement, relative to a usual effect: with ``{"opening":
+        2.0}`` an opening is twice as probable. "none" and "coefficients" have the odds (probability
+        over 1 - probability) that nothing is missing, and that all coefficients have an error in
+        common. Names that are left out keep their own values. If ``most`` is above 1, the number of
+        missing effects has a Poisson distribution with the mean 0.7, or with the mean that follows from
         "none".
     effects, without, only, controls, cache, progress, scheduler
-        As `rtcal.find` takes them; ``without`` may contain "coefficients" and "unknown".
+        As `rtcal.find` takes them; ``without`` may also contain "coefficients" and "unknown".
+
+    Returns
+    -------
+    Finding
+        Verdict, probability and size of each effect, and cautions.
 
     Raises
     ------
     DataError
-        If ``controls`` are of a single simulator or of another case; if the room was already calibrated
-        to one of the case's T; if an effect breaks a rule; if ``most`` is not from 1 to 3.
+        If ``controls`` are of one simulator only or of another case; if the room has already been
+        calibrated to a measured T of the case; if an effect breaks a rule; if ``most`` is not from 1 to
+        3.
 
     Examples
     --------
@@ -361,7 +368,12 @@ def _candidates(
 
 
 def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Candidate:
-    """Return a candidate's parameters and its size (`_estimate_size`); its probability is left open."""
+    """Return the most probable parameters and the size of an effect; its probability is set to 0.
+
+    ``evidence`` has the likelihoods of all effects and parameters that were tried, and ``name`` is the
+    effect, or "coefficients" for an error that all coefficients have in common. If ``precise`` is True,
+    the parameters are refined between the values that were tried.
+    """
     problem, case = evidence.problem, evidence.problem.case
     found = Candidate(
         effect=name, family=family_of(name, problem.predicted.effects), probability=0.0
@@ -521,11 +533,16 @@ def _searched(
 
 
 def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
-    """Return the doubts about the best candidate; `LEAVES` has the verdict that each doubt leaves."""
+    """Return the reasons not to identify the most probable effect, empty if there are none.
+
+    For example, its size has no limit, or the deviation of C80 grows. `rtcal.finder.claim.LEAVES` has
+    the verdict that remains with each reason. ``evidence`` has the likelihoods of all effects, and
+    ``best`` is the fitted effect.
+    """
     problem, name = evidence.problem, best.effect
     alone, row = _with_candidate(problem, best)
     gap = gap_check(alone, best)
-    found = [gross(evidence, name, gap)]
+    found = [_gross(evidence, name, gap)]
     times, chance = alone.goodness_of_fit(row, _scale(best))
     if chance < SURPRISING:
         found.append(Reason("not explained", {"effect": name, "times": times}))
@@ -538,7 +555,7 @@ def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
         share = best.parameters[effect.size] / problem.case.room.total_area
         if effect.takes_wall and share > (most := effect.largest_share):
             found.append(Reason("too large", {"effect": name, "share": share, "most": most}))
-    found.append(decided_below_schroeder(evidence, name))
+    found.append(_decided_below_schroeder(evidence, name))
     return tuple(doubt for doubt in found if doubt is not None)
 
 
@@ -559,7 +576,11 @@ SURPRISING = 1e-3
 
 
 def gap_against(name: str, gap: GapCheck) -> Reason | None:
-    """Return a doubt if the deviation grows, or if what alpha cannot fit contradicts the effect."""
+    """Return the reason to doubt an effect with which the model deviates more than without it, or None.
+
+    ``name`` is the effect, and ``gap`` has the deviations of the parameters that coefficients cannot
+    fit (`GapCheck`). The reason is that these deviations grow, or that they contradict the effect.
+    """
     ends = {"effect": name, "before": gap.before, "after": gap.after}
     if gap.growth >= CLAIMED:
         return Reason("gap grows", ends)
@@ -576,8 +597,8 @@ def schroeder_limit(case: Case, times: Array) -> float:
     return float(schroeder_frequency(np.array(middle), case.room.volume))
 
 
-def decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None:
-    """Return a doubt where the evidence for an effect comes from bands below Schroeder's frequency."""
+def _decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None:
+    """Return a doubt if an effect is identified only by bands below Schroeder's frequency, or None."""
     problem, nats = evidence.problem, evidence.nats(name)
     case, observed = problem.case, problem.observed
     frequencies = case.room.centre_frequencies
@@ -597,14 +618,14 @@ def decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None
     return Reason("below Schroeder", values)
 
 
-def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
-    """Return a doubt if measured T is about twice or half the model's T; None otherwise.
+def _gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
+    """Return a doubt if the measured T is about twice or half the model's T; None otherwise.
 
-    Most mistakes of this size are wrong input: units of T, volume, areas or coefficients. They change T
-    by the same factor in all bands. If the effect ``name`` explains the data much better than such a
-    factor, the doubt leaves its group identified. There is no doubt if the effect explains the data
-    much better than wrong units of T, and if parameters that alpha cannot fit, whose deviations ``gap``
-    has, show the effect by themselves.
+    Most mistakes of this size are wrong input (units of T, volume, areas or coefficients), which
+    changes T by the same factor in all bands. If the effect ``name`` explains the data much better than
+    such a factor, its group stays identified. There is no doubt if it explains the data much better
+    than wrong units of T, and C80 and the other parameters that coefficients cannot fit (``gap``) also
+    show it.
     """
     problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]
@@ -632,12 +653,13 @@ _DRAWS = 64
 
 @dataclass(frozen=True)
 class GapCheck:
-    """Hold mean absolute deviations of parameters that alpha cannot fit, without and with an effect.
+    """Hold the deviations that no coefficients can remove, with and without an effect in the model.
 
-    The deviations ``before`` (without the effect) and ``after`` (with it) are in JND, NaN if none of
-    these parameters was measured. ``uncertainty`` is the standard deviation of ``after`` minus
-    ``before``, from errors of measurement and model. ``predictive`` is the ln Bayes factor of the
-    effect from these parameters, given the fitted T20.
+    Calibrated coefficients fit T20 of the first configuration. What then remains in C80, G, EDT and in
+    other configurations are these deviations. ``before`` (without the effect) and ``after`` (with it)
+    are their mean absolute values in JND, NaN if no such parameter was measured. ``uncertainty`` is the
+    standard deviation of ``after`` minus ``before``, from errors of measurement and model.
+    ``predictive`` is the ln Bayes factor for the effect by these parameters alone, given T20.
     """
 
     before: float
@@ -647,7 +669,10 @@ class GapCheck:
 
     @property
     def growth(self) -> float:
-        """Probability that the deviation grows by more than `LITTLE`; 0 if nothing was measured."""
+        """Probability that the effect increases the mean deviation by more than 0.1 JND.
+
+        It is 0 if no parameter but T20 was measured.
+        """
         grown = self.after - self.before - LITTLE
         if not self.uncertainty > 0:
             return float(grown > 0)
@@ -659,10 +684,12 @@ def gap_check(
     candidate: Candidate,
     held: NDArray[np.bool_] | None = None,
 ) -> GapCheck:
-    """Return the deviations of features that alpha cannot fit, without and with a candidate's effect.
+    """Return the deviations that no coefficients can remove, without and with an effect in the model.
 
-    ``problem`` must have the effect. ``held`` (n_used,) is a mask of the features (ln T20, C80 and
-    others) that are compared; None means all but T20 of the first configuration.
+    ``problem`` has the measurement and the model's predictions, among them those with the effect of the
+    ``candidate``. ``held`` is a mask of the compared values (ln T20, C80 and others, of each
+    configuration and band) of which the deviations are calculated; None means all but T20 of the first
+    configuration.
     """
     problem, last = _with_candidate(problem, candidate)
     c, f, _ = problem.places
