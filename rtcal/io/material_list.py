@@ -528,10 +528,10 @@ class ExportReport:
         if self.bands_not_written:
             missing = ", ".join(bands.labels(self.bands_not_written))
             rows.append(f"The file does not have the bands {missing}, so they are not written.")
-        lost = f"The file cannot hold {', '.join(self.lost)}: keep the room's own file."
+        lost = f"The file cannot hold {', '.join(self.lost)}: keep the room's file, too."
         again = (
-            "A room made of this file can be calibrated to the same data again, which would count "
-            "these data twice."
+            "Do not calibrate a room made of this file to the same measurement again: that would "
+            "count the measurement twice, and rtcal could not notice."
         )
         for note in (*self.notes, lost, *[again] * (RECORD in self.lost)):
             rows += text.wrapped(text.as_sentence(note))

@@ -84,8 +84,8 @@ CALIBRATED_BEFORE = (
     "calibration, and the measurement."
 )
 GIVEN = (
-    "The T measured before the change has an uncertainty of its own (in the table). The interval of T "
-    "after the change does not contain it, so the real uncertainty is larger."
+    "The intervals of T after the change hold for the measured T before as it stands in the table. "
+    "Its standard uncertainty, in the line below it, adds to them."
 )
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "

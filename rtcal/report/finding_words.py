@@ -182,8 +182,8 @@ SENTENCES: dict[str, str] = {
     "volume alone undecided": "effect = volume has a probability of {probability:p}, but rtcal "
     "changes the room's volume only from {least:p} upwards. Measure the volume and enter it in the "
     "room's file.",
-    "support": "{best}, which these data do not distinguish from {others:likeliest}",
-    "sole": "{best}",
+    "support": "{best:spelt out}, which these data do not distinguish from {others:likeliest}",
+    "sole": "{best:spelt out}",
     "not predicted": "considering their uncertainty, these data give odds of {nats:odds} for it, less "
     "than the {least:odds} required",
     # What to know of the data and of the search.
@@ -326,6 +326,8 @@ class _Forms(Formatter):
         if form in ("few", "and", "or"):
             names = [called(v) if isinstance(v, str) else likeliness(v) for v in value]
             return first_of(names, _FEW) if form == "few" else listed(names, last=form)
+        if form == "spelt out":
+            return f"{named(value)} (probability {percent(value.probability)})"
         if form == "likeliest":
             return _and_more([likeliness(v) for v in value], _FEW)
         if form == "check":
@@ -972,8 +974,8 @@ def evidence(f: Finding) -> str:
         nothing = "nothing changed" if f.kind == "states" else "nothing is missing"
         given, which, again = f"odds of {odds(-score)}", nothing, f" that {which}"
     said = (
-        f"Over all effects together, the data{of} give {given} that {which}. A detection requires "
-        f'{required}{again}. The verdict is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
+        f"In the mean over all effects, the data{of} give {given} that {which}. A detection requires "
+        f'{required}{again}. The verdict in the files is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
     )
     if f.kind == "positions" and f.case.has_run:
         said += (
@@ -1163,7 +1165,7 @@ def _largest_deviations(f: Finding, tables: Sequence[Table]) -> Block:
     if not rows:
         return Note(f"{_DEVIATION}: less than {marks.LARGE_Z:g} in every band of every parameter.")
     title = _DEVIATION
-    less = f"{left_out} rows with less than {marks.LARGE_Z:g} in every band are left out."
+    less = f"{left_out} rows with values below {marks.LARGE_Z:g} in every band are left out."
     return Table(tables[0].columns, rows, title, note=less if left_out else "")
 
 
@@ -1219,7 +1221,12 @@ def noted(f: Finding) -> list[str]:
 
 def added(f: Finding, members: tuple[str, ...]) -> str:
     """Return a sentence on the effects that `Finding.apply` adds, and on the other candidates."""
-    some = listed([likely(name_of(f, n), f.probabilities.get(n, 0.0)) for n in members])
+    some = listed(
+        [
+            f"{called(name_of(f, n))} (probability {percent(f.probabilities.get(n, 0.0))})"
+            for n in members
+        ]
+    )
     if len(members) > 1:
         some += f", the most probable set ({percent(f.sets[members])})"
     elif members != f.members:

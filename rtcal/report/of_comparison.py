@@ -162,16 +162,18 @@ def _coefficients(c: Comparison) -> list[str]:
     no = named(lambda p: c.disagrees[p] & ~c.explained[p])
     if not yes:
         return [
-            "Errors of the input coefficients that their sigma allows do not explain these deviations."
+            "Wrong coefficients are not the cause: no coefficients within the sigma of the input "
+            "remove these deviations."
         ]
     if not no:
         return [
-            "Errors of the input coefficients that their sigma allows can explain the deviations of "
-            f"{listed(yes)}. Each band was tested by itself."
+            "Wrong input coefficients may be the cause: other coefficients within their sigma remove "
+            f"the deviations of {listed(yes)}. Each band was tested by itself."
         ]
     return [
-        "Errors of the input coefficients that their sigma allows can explain the deviations of "
-        f"{listed(yes)}, but not those of {listed(no)}. Each band was tested by itself."
+        "Wrong input coefficients may be a part of the cause: other coefficients within their sigma "
+        f"remove the deviations of {listed(yes)}, but not those of {listed(no)}. Each band was tested "
+        "by itself."
     ]
 
 

@@ -36,13 +36,20 @@ def of_miss(miss: Miss) -> str:
 
 def misses(v: Verification) -> str:
     """Return which values the corrected model does not reproduce, and what follows; "" without any."""
-    if not v.misses:
-        return ""
+    return f"Do not simulate with the {_corrected(v)}: {_missed(v, 'its')}." if v.misses else ""
+
+
+def _corrected(v: Verification) -> str:
+    """Return what the model with what was found is called."""
+    return "room after the change" if v.finding.kind == "states" else "corrected model"
+
+
+def _missed(v: Verification, whose: str) -> str:
+    """Return which values of the corrected model, ``whose`` values they are, miss the measured ones."""
     worst = sorted(v.misses, key=lambda miss: -abs(miss.jnd))
     said = first_of([*map(str, worst)], _SHOWN_MISSES)
-    which = "room after the change" if v.finding.kind == "states" else "corrected model"
     before, after = _as_compared(v)
-    return f"Do not simulate with the {which}: {before}its {said}{after}."
+    return f"{before}{whose} {said}{after}"
 
 
 def _as_compared(v: Verification) -> tuple[str, str]:
@@ -53,19 +60,22 @@ def _as_compared(v: Verification) -> tuple[str, str]:
         run = "in the second run and " * bool(v.again.size)
         return f"{run}averaged over pairs to which it was not fitted, ", ""
     if not v.runs:
-        why = (
-            "Coefficients that give the measured T would be too far from the input for their sigma"
-        )
-        return "even with calibrated coefficients, ", f". {why}"
+        why = "Coefficients that give the measured T would be further from the input than sigma allows"
+        return "even after calibration, ", f". {why}"
     scaled = v.models[1] not in v.runs
     return f"in the second run{', scaled to the measured T by the equation' * scaled}, ", ""
 
 
-def _unproven(v: Verification, found: str) -> str:
-    """Return that a finding is unproven, as far as the measured values show why."""
-    why = ", because the corrected model does not reproduce all measured values" if v.misses else ""
-    said = f"the verification neither confirms {found} nor rules it out{why}"
-    return f"The correction is unproven: {said}."
+def _unproven(v: Verification, found: str, gain: str, measured: list[str]) -> list[str]:
+    """Return that a finding is unproven, what is for it and what against it."""
+    said = (
+        f"The correction is unproven: the verification neither confirms {found} nor rules it out."
+    )
+    if v.gain > 0 and v.misses:
+        against = _missed(v, f"the {_corrected(v)}'s")
+        against = f"Against it: {against}. Do not simulate with this model."
+        return [said, f"For it: {gain}", *measured, against]
+    return [said, misses(v), f"{gain[:1].upper()}{gain[1:]}", *measured]
 
 
 def sentence(v: Verification) -> str:
@@ -101,8 +111,8 @@ def sentence(v: Verification) -> str:
         of = "" if v.finding.kind == "states" else "calibrated "
         gain = (
             f"{again}adding {found} to the model {verb} the mean deviation at data that were not "
-            f"fitted ({', and '.join(v.held_out)}) from {v.before:.2f} JND ({of}without it) to "
-            f"{v.after:.2f} JND ({of}with it), by {by} JND (standard error{required})."
+            f"fitted ({', and '.join(v.held_out)}) by {by} JND (standard error{required}): from "
+            f"{v.before:.2f} JND ({of}without it) to {v.after:.2f} JND ({of}with it)."
         )
         measured = [
             _as_simulated(v),
@@ -110,8 +120,7 @@ def sentence(v: Verification) -> str:
         ]
         if v.verdict == "unproven":
             effect = "the effect" if v.corrected is None else found
-            said = [_unproven(v, effect), misses(v), f"{gain[:1].upper()}{gain[1:]}", *measured]
-            return " ".join(filter(None, said))
+            return " ".join(filter(None, [*_unproven(v, effect, gain, measured)]))
         said = [
             f"The correction is {v.verdict}{but if supported else ''}: {gain}",
             *measured,
