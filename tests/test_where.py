@@ -281,7 +281,7 @@ def test_the_next_position_is_free_and_informative(of_openings: rt.finder.Findin
     finding = of_openings
     places = rt.finder.positions.next_position(finding, number=6)
     assert len(places) == 6 * len(SOURCES)
-    assert places[0].nats > places[-1].nats > 0
+    assert places[0].pairs > places[-1].pairs > 0
     points = np.array([p.point for p in places])
     assert finding.case.geometry.contains(points).all()
     assert (finding.case.geometry.wall_distance(points) > 0.69).all()

@@ -52,7 +52,7 @@ def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFix
     assert run("plan", FOUND, "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["places"] == [
-        {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
+        {"point": list(PLACE.point), "source": PLACE.source, "pairs": PLACE.pairs}
     ]
     claimed = replace(found, surface="floor")
     claimed.save(FOUND)

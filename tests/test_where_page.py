@@ -30,7 +30,7 @@ from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triang
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
 
-PLACE = Place(point=(6.5, 3.0, 1.2), source="S", nats=2.5)
+PLACE = Place(point=(6.5, 3.0, 1.2), source="S", pairs=2.5)
 
 
 def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> Finding:

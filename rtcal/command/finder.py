@@ -653,8 +653,8 @@ def plan(
 
     Give FOUND, the folder that `rtcal find --out` wrote, to plan the next measurement; search with
     --most 3 for the best proposals. With a geometry, if several surfaces are possible, the proposals
-    are positions for a further receiver, with the odds by which it is expected to distinguish the
-    surfaces.
+    are positions for a further receiver, with the number of measured pairs that would distinguish the
+    surfaces as well.
 
     Example: rtcal plan case.toml
     """

@@ -1327,14 +1327,18 @@ def of_places(f: Finding, places: Sequence[Place]) -> list[Block]:
         ]
     names = listed([f'"{name}"' for name in f.likely_surfaces])
     where = [f"{', '.join(f'{x:.2f}' for x in p.point)} m" for p in places]
-    rows = [Row(at, [p.source, odds(p.nats)]) for at, p in zip(where, places, strict=True)]
+    rows = [Row(at, [p.source, f"{p.pairs:.1f}"]) for at, p in zip(where, places, strict=True)]
+    enough = len(f.pairs) / 2 < places[0].pairs
     return [
         Note(
-            f"Measure next with a receiver at {where[0]} and source {places[0].source}: it is expected "
-            f"to distinguish the surfaces {names} with odds of {odds(places[0].nats)}."
+            f"Measure next with a receiver at {where[0]} and source {places[0].source}. Of the "
+            f"positions that were tried, it is expected to distinguish {names} best: as well as "
+            f"{places[0].pairs:.1f} of the {len(f.pairs)} measured pairs."
+            + " All measured pairs together do not distinguish them, so one more may not be enough."
+            * (not enough)
         ),
         answer,
-        Table(["source", "expected odds"], rows, corner="receiver"),
+        Table(["source", "worth in measured pairs"], rows, corner="receiver"),
     ]
 
 

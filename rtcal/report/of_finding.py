@@ -137,8 +137,8 @@ def to_do(
         at = ", ".join(f"{x:.1f}" for x in place.point)
         steps.append(
             f"To distinguish the surfaces, measure at ({at}) m with source {place.source}, the "
-            "star in the plan. Of the positions that were tried, this one has the highest "
-            f"expected odds ({odds(place.nats)})."
+            "star in the plan. Of the positions that were tried, this one is expected to distinguish "
+            f"them best: as well as {place.pairs:.1f} of the {len(finding.pairs)} measured pairs."
         )
     if finding.undecided is not None:
         confirm = "Do not add an effect to the model before it is confirmed."

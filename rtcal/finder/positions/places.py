@@ -25,13 +25,13 @@ _RIVALS = 3
 class Place:
     """Hold a proposed position for a further receiver: a ``point`` (x, y, z) in m.
 
-    ``nats`` is how much a measurement from the ``source`` to this point is expected to add to the ln
-    Bayes factor between the two most probable surfaces.
+    A measurement from the ``source`` to this point is expected to distinguish the most probable
+    surfaces as well as ``pairs`` of the measured pairs, each as good as their mean.
     """
 
     point: tuple[float, float, float]
     source: str
-    nats: float
+    pairs: float
 
 
 def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
@@ -51,7 +51,8 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
     Raises
     ------
     DataError
-        If at most one surface is probable, or no position of the grid is free.
+        If at most one surface is probable, if only one pair was measured, or if no position of the
+        grid is free.
     """
     checks.whole("number", number, 1)
     # The most probable candidate on each surface that is in question.
@@ -60,15 +61,18 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
         best = next((c for c in finding.candidates if c.surface == name), None)
         if best is not None and finding.surfaces[name] > 0:
             rivals.append(best)
+    if len(finding.pairs) < 2:
+        raise DataError("a plan needs at least 2 measured pairs, but the finding has only 1")
     if len(rivals) < 2:
         raise DataError(
             "a plan needs at least two candidate surfaces to distinguish, but at most one is left"
         )
     places, divided = _grid(case, number), case.divided
+    proposed = {f"place {i + 1}": p for i, p in enumerate(places)}
     tracer = replace(
         case.simulator,
         geometry=divided.geometry,
-        receivers={f"place {i + 1}": p for i, p in enumerate(places)},
+        receivers={**case.simulator.receivers, **proposed},
     )
     weighing = Weighing(tracer, finding.parameters, seed)
     alpha = weighing.alpha
@@ -83,8 +87,9 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
         changed[faces] += share * (rival.spectrum - changed[faces])
         shifts.append(weighing.observe(np.clip(changed, 0.0, 0.99)) - stated)
     weights = [finding.surfaces[str(rival.surface)] for rival in rivals[1:]]
-    # What all pairs have in common is known from those that were measured. So a pair's error is that of
-    # the control runs within a run; the noise of the tracing stands for that of a response.
+    # Coefficients and size follow what all pairs have in common, so only what a pair has for itself
+    # distinguishes. Its error is that of the control runs within a run; the noise of the tracing stands
+    # for that of a response.
     errors = finding.controls.at(finding.parameters, finding.pairs).errors
     within = errors - errors.mean(axis=2, keepdims=True)
     rows = np.moveaxis(within, 2, 1).reshape(len(errors) * errors.shape[2], -1)
@@ -92,16 +97,20 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
     # Far from singular: a tenth of the variance is each value's own.
     own = 0.1 * np.diag(np.diag(sample)) + 1e-9 * np.eye(len(sample))
     precision = np.linalg.inv(0.9 * sample + own)
-    nats = np.zeros(len(tracer.pairs))
+    measured = np.array([pair in finding.pairs for pair in tracer.pairs])
+    distinction = np.zeros(len(measured))
     for shift, weight in zip(shifts[1:], weights, strict=True):
-        apart = np.moveaxis(shifts[0] - shift, 1, 0).reshape(len(nats), -1)
-        nats += weight / sum(weights) * 0.5 * np.einsum("in,nm,im->i", apart, precision, apart)
-    points = dict(zip(tracer.receivers, places.tolist(), strict=True))
+        apart = np.moveaxis(shifts[0] - shift, 1, 0).reshape(len(measured), -1)
+        apart -= apart[measured].mean(axis=0)
+        distinction += weight * np.einsum("in,nm,im->i", apart, precision, apart)
+    in_pairs = distinction / distinction[measured].mean()
+    points = dict(zip(proposed, places.tolist(), strict=True))
     every = [
         Place((points[r][0], points[r][1], points[r][2]), s, float(n))
-        for (s, r), n in zip(tracer.pairs, nats, strict=True)
+        for (s, r), n in zip(tracer.pairs, in_pairs, strict=True)
+        if r in points
     ]
-    return tuple(sorted(every, key=lambda place: -place.nats))
+    return tuple(sorted(every, key=lambda place: -place.pairs))
 
 
 def _grid(case: PositionsCase, number: int) -> Array:
