@@ -247,7 +247,7 @@ def test_a_finding_of_two_configurations_takes_at_most_forty_lines(
     assert text.count("\n") < 40
     row = next(line for line in text.splitlines() if line.startswith('T20 of "A"'))
     assert max(map(abs, map(float, row.split('"')[2].split()))) >= 2
-    assert "rows with less than 2 in every band are left out" in text
+    assert "rows with values below 2 in every band are left out" in text
 
 
 def test_a_plan_needs_no_measurement(folder: Path) -> None:

@@ -78,7 +78,7 @@ def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path: 
         require_box(done)
         assert (
             done.notes[0]
-            == "the file states no unit: with unit = 1 (in m), the room is 5 × 4 × 3 m"
+            == "the file states no unit; metres (unit = 1) are assumed: the room is 5 × 4 × 3 m"
         )
         assert not any("states no unit" in note for note in mesh.room(path, unit=1.0).notes)
 

@@ -527,9 +527,10 @@ def apply(found: str, out: str, **options: Any) -> None:
     only if it was identified as wrong, with a probability of at least 0.9. case.json is the case with
     the effect, for `rtcal find`. The calibration with the effect is only printed.
 
-    With a geometry, room.obj is the mesh, and catt.txt and odeon.txt are lists of materials. The effect
-    is a patch in the middle of its surface, or about the point of --place. If the most probable group
-    of effects on one surface has a probability below 0.3, you must give --effect or --place.
+    With a geometry, room.obj is the mesh; catt.txt, odeon.txt and pyroomacoustics.json are lists of
+    materials. The effect is a patch in the middle of its surface, or about the point of --place. If the
+    most probable group of effects on one surface has a probability below 0.3, you must give --effect or
+    --place.
 
     If your program's result was given to `rtcal find`, instructions.txt lists what to change in the
     program's materials, what to draw, and what the program cannot contain.
@@ -589,11 +590,11 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
 
     Example: rtcal diagnose room.toml pairs.csv --out diagnosis
     """
-    from rtcal.finder.apply import CASE, CATT, CAUTION, MESH, ODEON, ROOM
+    from rtcal.finder.apply import CASE, CAUTION, LISTS, MESH, ROOM
     from rtcal.finder.diagnosis import diagnosis
     from rtcal.report import of_diagnosis, of_finding
 
-    files = (*of_finding.WRITTEN, ROOM, CASE, MESH, CATT, ODEON, CAUTION)
+    files = (*of_finding.WRITTEN, ROOM, CASE, MESH, *LISTS, CAUTION)
     defaults = {
         "before": None,
         "simulated": None,

@@ -47,7 +47,7 @@ from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.means.problem import predict_in, state, values_of_features, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions
 from rtcal.finder.positions.surfaces import NEAR, face_at, of_geometry, patched
-from rtcal.io import catt, odeon
+from rtcal.io import catt, odeon, pyroomacoustics
 from rtcal.io.material_list import ExportReport
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
@@ -57,7 +57,9 @@ from rtcal.support.errors import DataError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 
-CASE, ROOM, MESH, CATT, ODEON = "case.json", "room.toml", "room.obj", "catt.txt", "odeon.txt"
+CASE, ROOM, MESH, CATT = "case.json", "room.toml", "room.obj", "catt.txt"
+LISTS = {CATT: catt, "odeon.txt": odeon, "pyroomacoustics.json": pyroomacoustics}
+"""Lists of materials that are written, each with its format."""
 CAUTION = "caution.txt"
 
 
@@ -164,7 +166,7 @@ class Corrected:
         if self.caution and CATT in made:
             words = self.caution.replace("±", "+-").encode("ascii", "replace")
             made[CATT] = b"; " + words + b"\r\n" + made[CATT]
-            made[CAUTION] = f"{self.caution}\n".encode()  # ODEON's list has no comments
+            made[CAUTION] = f"{self.caution}\n".encode()  # the other lists have no comments
         return {folder / name: content for name, content in made.items()}
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
@@ -172,8 +174,9 @@ class Corrected:
 
         ``room.toml`` is the room and, if a surface is identified, ``room.obj`` is its mesh. If means
         over positions were compared, ``case.json`` is the case with the effects. If every position was
-        compared, ``catt.txt`` and ``odeon.txt`` are lists of materials for CATT-Acoustic and ODEON.
-        Octaves that the room does not have get the coefficients of its nearest band.
+        compared, ``catt.txt``, ``odeon.txt`` and ``pyroomacoustics.json`` are lists of materials for
+        these programs. Octaves that the room does not have, but a list must have, get the coefficients
+        of its nearest band.
         """
         where = checks.path("folder", folder)
         contents = self.contents(where)
@@ -203,15 +206,15 @@ class Corrected:
 
     @cached_property
     def _lists(self) -> dict[str, tuple[bytes, ExportReport]]:
-        """The lists of materials for CATT and ODEON, and their reports, by file name."""
+        """The lists of materials for each program, and their reports, by file name."""
         if self.added is None:
             return {}
         room = self._with_mesh(Path(MESH))
         # Their writers fill in a list that exists; these are new ones.
         with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
             reports = {
-                CATT: catt.write(room, Path(empty, CATT), missing_bands="nearest"),
-                ODEON: odeon.write(room, Path(empty, ODEON), missing_bands="nearest"),
+                name: of.write(room, Path(empty, name), missing_bands="nearest")
+                for name, of in LISTS.items()
             }
             return {n: (Path(empty, n).read_bytes(), r) for n, r in reports.items()}
 

@@ -1163,10 +1163,11 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
 
 def _new_pyroomacoustics(room: Room, *_: object) -> bytes:
     content: dict[str, Any] = {"center_freqs": [float(f) for f in room.centre_frequencies]}
+    group = "Input" if room.calibration is None else "Calibrated"
     for name, of_material in dictionaries(room).items():
         for key, entry in of_material.items():
-            of_key = content.setdefault(key.removeprefix("energy_"), {"Calibrated": {}})
-            of_key["Calibrated"][name] = entry
+            of_key = content.setdefault(key.removeprefix("energy_"), {group: {}})
+            of_key[group][name] = entry
     return (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode("utf-8")
 
 

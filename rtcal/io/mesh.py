@@ -186,7 +186,10 @@ def _with_doubts(done: Mended, faces: Faces) -> tuple[str, Mended]:
     doubt = units.size_doubt(done.volume, done.size, faces.unit or 1.0, is_stated=is_stated)
     if doubt and done.geometry is None:
         doubt = f"by rays {doubt}"
-    of_box = f"the file states no unit; metres (unit = 1) are assumed: the room is {units.in_words(done.size)}"
+    of_box = (
+        "the file states no unit; metres (unit = 1) are assumed: the room is "
+        f"{units.in_words(done.size)}"
+    )
     box = "" if is_stated else of_box
     return doubt, replace(done, notes=(*filter(None, (doubt, box)), *done.notes))
 

@@ -534,9 +534,18 @@ def correct(
             f'"{made.material}". {lines[0]}'
         )
     lines += map(str, made.notes)
-    for name, report in made.reports.items():
-        lines += [f"{name}: {'; '.join(report.notes)}."] if report.notes else []
-        lines += [f"{name} does not contain: {'; '.join(report.lost)}."] if report.lost else []
+    lines += [f"{n}: {'; '.join(r.notes)}." for n, r in made.reports.items() if r.notes]
+    if lists := made.reports:
+        in_none = [
+            lost
+            for lost in next(iter(lists.values())).lost
+            if all(lost in r.lost for r in lists.values())
+        ]
+        said = [f"The lists {listed([*lists])} do not contain: {'; '.join(in_none)}"]
+        for name, report in lists.items():
+            own = [lost for lost in report.lost if lost not in in_none]
+            said += [f"{name} does not contain {listed(own)} either"] if own else []
+        lines.append(f"{'; '.join(said)}.")
     if finding.kind == "positions":
         lines.append(
             f"{ROOM} is not calibrated: it holds the input coefficients and the new material. "

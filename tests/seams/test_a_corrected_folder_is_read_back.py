@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.apply import corrected_geometry
-from rtcal.io import catt, geometry_files, obj, odeon
+from rtcal.io import catt, geometry_files, obj, odeon, pyroomacoustics
 from rtcal.simulators import Polyhedron
 from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated
 
@@ -42,7 +42,8 @@ def test_every_file_has_the_patch(
     np.testing.assert_allclose(sizes, [made.geometry.areas[m] for m in room.materials], rtol=1e-6)
     absorbed = made.room.absorption_area
     np.testing.assert_allclose(sizes @ room.alpha, absorbed, rtol=1e-6)
-    for program, file in ((catt, "catt.txt"), (odeon, "odeon.txt")):
+    lists = {"catt.txt": catt, "odeon.txt": odeon, "pyroomacoustics.json": pyroomacoustics}
+    for file, program in lists.items():
         listed = program.read(tmp_path / file).materials
         columns = [list(listed[0].centre_frequencies).index(f) for f in BANDS]
         alpha = np.array([np.asarray(m.alpha)[columns] for m in listed])

@@ -274,7 +274,7 @@ def test_a_list_holds_what_it_does_not_say(
             assert f"The file cannot hold {field}," in said
         else:
             assert np.abs(values - getattr(room, field)[:, shared]).max() <= 0.00051
-    assert ("would count these data twice" in said) == (room.calibration is not None)
+    assert ("count the measurement twice" in said) == (room.calibration is not None)
     if kind == "fit" and again.scattering is not None:
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
 
