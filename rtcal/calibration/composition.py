@@ -83,12 +83,12 @@ class Composition:
 
     @property
     def row_constraints(self) -> list[Any]:
-        """Constraints that are no bounds and are therefore rows of the quadratic programme (QP)."""
+        """Constraints other than `Bounds` and `Shared`: the rows of the quadratic programme (QP)."""
         return [c for c in self.constraints if not isinstance(c, Bounds | Shared)]
 
     @property
     def matches(self) -> list[ExactMatch]:
-        """Constraints that hold the absorption area S'alpha to that of the measured T."""
+        """Constraints `ExactMatch` and `MatchWithin`, which match the measured T."""
         return [c for c in self.constraints if isinstance(c, ExactMatch)]
 
     @cached_property
@@ -119,7 +119,11 @@ class Composition:
         return tuple(w / prior for w in every)
 
     def unknowns_at(self, numbers: Numbers, at: Active) -> Active:
-        """Return the active bounds of the unknowns, (size,), from those of all variables of the QP."""
+        """Return for each unknown -1 at its lower bound, 1 at its upper bound, else 0, (size,).
+
+        ``at`` (n_variables,) has the same states for all variables of the quadratic programme, of which
+        some are auxiliary. ``numbers`` are the values of room and measurement.
+        """
         return np.where(numbers.movable, at[self.compiled.places], 0).astype(np.int8)
 
     def without(self, term: Any) -> Composition:
@@ -156,11 +160,11 @@ class Composition:
         return float(point.v @ (program.gradient(point.v) + program.c)) / 2
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return the objective's least curvature m, with which f - m |x|² / 2 is convex.
+        """Return a lower limit m of the objective's curvature: f - m |x|² / 2 is convex.
 
         f is the objective, and x are the deviations of the unknowns from their input in sigmas. m is 0
-        if the term that keeps the coefficients near the input states no curvature. ``numbers`` are the
-        values of room and measurement.
+        if the term that keeps the coefficients near the input has no method ``convexity``. ``numbers``
+        are the values of room and measurement.
         """
         of_prior = getattr(self.prior, "convexity", None)
         pairs = zip(self.objective.terms, self.weights, strict=True)

@@ -148,10 +148,10 @@ def calibrate(
 
     minimise sum ((alpha - mu) / sigma)²  subject to  S'alpha = b,  alpha_min <= alpha <= 1
 
-    in every band. mu are the input coefficients, sigma their standard deviations, and S'alpha is the
-    sum of area times coefficient, which must equal the absorption area b that the measured T needs
-    (Bellows & Katz 2025). In a room that states an uncertainty of its volume, areas or climate, T is
-    matched within that uncertainty.
+    in every band (Bellows & Katz 2025). mu are the input coefficients, sigma their standard deviations,
+    and S'alpha is the sum of area times coefficient, which must equal the absorption area b that the
+    measured T needs. If the room states an uncertainty of its volume, areas or climate, every method
+    but ``lse`` matches T within that uncertainty.
 
     Parameters
     ----------
@@ -161,9 +161,11 @@ def calibrate(
     measured : Measurement, or T in s, (n_bands,)
         Measured T per band: T20, else T30. Coefficients in a band with NaN do not change.
     method : {"mle", "lse", "soft", "smooth", "robust", "joint"}
-        ``mle``: with the input sigmas. ``lse``: with one sigma for all. ``soft``: T within its
-        uncertainty. ``smooth``: as soft, with similar changes in neighbouring bands. ``robust``: as
-        soft, where single sigmas may be wrong. ``joint``: as soft, for several configurations.
+        ``mle`` solves the problem above. ``lse`` solves it with the same sigma for all coefficients.
+        ``soft`` matches T within its uncertainty, which is 5 % if the measurement states none.
+        ``smooth`` is soft, and also keeps changes similar in neighbouring bands. ``robust`` is soft,
+        and lets few coefficients move far, because their sigmas may be wrong. ``joint`` is soft, for
+        several configurations.
     equation : Equation, optional
         Reverberation equation; `rtcal.Eyring` with the room's air by default.
     solver : {"clarabel", "osqp"}
@@ -196,7 +198,7 @@ def calibrate(
     >>> import rtcal as rt
     >>> room, measured = rt.datasets.bras_cr2()
     >>> result = rt.calibrate(room, measured)
-    >>> print(result.gap_before.round(1))
+    >>> print(result.gap_before.round(1))  # T of the input minus measured T, in JND of 5 %
     [15.6 -2.8 -4.7 -2.8 -2.6 -5.6]
     >>> bool(abs(result.gap_after).max() < 1e-9)
     True

@@ -162,8 +162,9 @@ class Calibration:
         DataError
             If a term names a material or a band that the room lacks.
         ModelError
-            If cvxpy cannot compile the problem once for all numbers (it is not DPP), or the equation
-            is no function of the mean absorption coefficient.
+            If a term is not convex and quadratic or a constraint not linear; if one of them multiplies
+            two parameters (which cvxpy calls "not DPP"); or if T of the equation does not depend on the
+            mean absorption coefficient alone.
 
         Warns
         -----
@@ -197,7 +198,7 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CalibrationProblem(Composition, Generic[R]):
-    """Compiled calibration, which `solve` solves for many measurements without compiling again.
+    """Calibration that `rtcal.Calibration.build` compiled; `solve` calibrates the room to its T.
 
     If it was compiled for a room, `solve` returns a `CalibrationResult`; if for `Configurations`, a
     `JointResult`.
@@ -386,7 +387,10 @@ def _candidates(program: qp.QP, at: Active, raw: Iterate) -> Iterator[Iterate]:
 
 
 class Observation(Protocol):
-    """Measured data of a room, with a model that predicts them from the room's coefficients."""
+    """Measured data of a room, with a model that predicts them, as `fit` needs them.
+
+    An object with ``values``, ``covariance``, ``predict`` and ``jacobian`` is one.
+    """
 
     @property
     def values(self) -> Array:
@@ -399,15 +403,15 @@ class Observation(Protocol):
         ...
 
     def predict(self, alpha: Array) -> Array:
-        """Return the model's values (n,) of the measured data, for coefficients (n_materials, n_bands).
+        """Return the data that the model predicts, (n,), in the order of ``values``.
 
-        ``alpha`` are the coefficients. Raises DataError or SimulatorError if the model has no values
-        for them; `fit` then does not make the step to these coefficients.
+        ``alpha`` (n_materials, n_bands) are the coefficients. Raises DataError or SimulatorError if the
+        model has no values for them; `fit` then does not make the step to these coefficients.
         """
         ...
 
     def jacobian(self, alpha: Array) -> Array:
-        """Return the derivatives of the model's values by alpha, (n, n_materials * n_bands)."""
+        """Return the derivatives of what `predict` returns by alpha, (n, n_materials * n_bands)."""
         ...
 
 
@@ -429,7 +433,10 @@ class GaussNewtonStep:
 
 @dataclass(frozen=True, eq=False)
 class GaussNewtonFit:
-    """Result of a fit: the coefficients at its end, its steps, and whether the last one has settled."""
+    """Result of `fit`: the coefficients at its end, (n_materials, n_bands), and its steps.
+
+    ``settled`` is False if the fit ended before a step was as small as `fit` requires.
+    """
 
     alpha: Array
     steps: tuple[GaussNewtonStep, ...]
@@ -443,10 +450,11 @@ class GaussNewtonFit:
 
 @dataclass(frozen=True, eq=False)
 class ModelObjective:
-    """Objective of a fit, calculated with the model itself and not with its linearisation.
+    """Objective that `fit` minimises, calculated with the model and not with its linearisation.
 
-    ``answer`` is a calibration of the linearised problem, ``term`` the term that stands for the data in
-    it, and ``factor`` (n, n) the lower Cholesky factor of the covariance of the data.
+    ``answer`` is the calibration with the linearised model, and ``term`` the `LinearObservations` of
+    this calibration that has the data. ``factor`` (n, n) is the lower Cholesky factor of the data's
+    covariance.
     """
 
     answer: CalibrationResult
@@ -490,21 +498,41 @@ def fit(
     allowed: Callable[[Array], bool] = lambda end: True,
     settled: Callable[[GaussNewtonStep, Array], bool] | None = None,
 ) -> GaussNewtonFit:
-    """Return the coefficients that fit measured data by a model, found in Gauss-Newton steps.
+    """Return the coefficients that fit measured data by a nonlinear model, in Gauss-Newton steps.
 
     Each step linearises the model at the present coefficients and solves the calibration. A step that
-    raises the objective is halved, up to six times. If ``start`` keeps the bounds and constraints, the
-    objective at the end is at most that at the start.
+    raises the objective is halved, up to six times. If ``start`` satisfies the bounds and constraints,
+    the objective at the end is at most that at the start.
 
-    ``data`` are the measured values with their covariance and the model. ``problem`` is a calibration
-    built with the ``term`` that stands for the data. ``start`` (n_materials, n_bands) are the
-    coefficients before the first step, and ``most`` is the largest number of steps. ``times`` is the
-    measured T for the problem's other terms, None if these use no T. ``method`` is the name of the
-    method in the result. ``covariance`` (n, n) replaces that of the data in each calibration, but not
-    in the objective; None replaces nothing. ``allowed`` returns whether the fit may end at given
-    coefficients. ``settled`` returns whether a step, given with the coefficients after it, is the last;
-    by default a step is the last if no coefficient changes by more than `SETTLED` of its prior sigma.
-    Raises InfeasibleError and SolverError for the reasons of `CalibrationProblem.solve`.
+    Parameters
+    ----------
+    problem : CalibrationProblem
+        Calibration of one room whose objective has ``term``.
+    data : Observation
+        Measured values (n,) with their covariance and the model.
+    start : array (n_materials, n_bands)
+        Coefficients before the first step.
+    term : LinearObservations
+        Term of the objective that gets the data and the linearised model in each step.
+    method : str
+        Name of the method in the result.
+    times : Measurement, or T in s, (n_bands,), optional
+        Measured T for the other terms; None if these use no T.
+    most : int
+        Largest number of steps.
+    covariance : array (n, n), optional
+        Covariance of the data for the direction of the steps; by default that of ``data``, by which
+        the objective is always calculated.
+    allowed : function
+        Function of coefficients that returns whether the fit may go there; everywhere by default.
+    settled : function, optional
+        Function of a step and the coefficients after it that returns whether the step is the last. By
+        default a step is the last if no coefficient changes by 0.05 of its prior sigma or more.
+
+    Raises
+    ------
+    InfeasibleError, SolverError
+        For the reasons of `CalibrationProblem.solve`.
     """
     factor = np.asarray(np.linalg.cholesky(data.covariance))
     in_qp = data.covariance if covariance is None else covariance

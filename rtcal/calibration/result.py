@@ -177,7 +177,7 @@ class JointResult(Result):
 
     @property
     def asks_for_measured_time(self) -> bool:
-        """Whether a constraint, or a term of weight above 0, uses the measured T."""
+        """Whether the calibration uses the measured T, in a constraint or a term of weight above 0."""
         composed = self.composition
         terms = zip(composed.objective.terms, composed.weights, strict=True)
         return bool(composed.matches) or any(t is composed.soft_match and w > 0 for t, w in terms)
@@ -204,9 +204,10 @@ class JointResult(Result):
     def density(self, *, measured: bool = True) -> Density:
         """Return the probability density of the unknowns given the measured T, or before T is known.
 
-        ``measured`` is True for the density given T, and False for that of the input alone. With an
-        exact match, T gives the absorption area with the uncertainty of T. Raises ModelError for the
-        methods ``lse`` and ``robust``, which have no distribution.
+        It is a normal density within bounds (`rtcal.calibration.posterior.Density`). ``measured`` is
+        True for the density given T, and False for that of the input alone. With an exact match, the
+        density still allows for the uncertainty of T. Raises ModelError for the methods ``lse`` and
+        ``robust``, which have no distribution.
         """
         prior, numbers, layout = self.composition.prior, self.numbers, self.composition.layout
         if not self.has_density:
@@ -444,7 +445,10 @@ class JointResult(Result):
 
     @property
     def is_exact(self) -> bool:
-        """Whether the intervals are exact: bands are independent, and the method has a distribution."""
+        """Whether `interval` follows from the exact distribution, and not from a normal approximation.
+
+        That needs a method with a distribution (`has_density`) and bands that are independent.
+        """
         return self._separate is not None
 
     @cached_property
@@ -515,14 +519,18 @@ class JointResult(Result):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class CalibrationResult(Result):
-    """Calibrated room, with the plausibility, the cautions and the accuracy of its calibration.
+    """Result of the calibration of a room: its coefficients, their uncertainty, and cautions.
+
+    `alpha` are the calibrated coefficients, `posterior_sigma` and `interval` their uncertainty, and
+    `room` is the calibrated room. `plausibility` is the agreement of the measured T with the input,
+    `trust_marks` are the cautions, and `certificate` is the numerical accuracy.
 
     Attributes
     ----------
     joint : JointResult
         Calibration of all configurations of the room; a single room is one configuration.
     configuration : int
-        Number of the configuration to which this result belongs.
+        Number, from 0, of the configuration to which this result belongs.
     """
 
     record_kind: ClassVar[str] = table.KIND
@@ -578,7 +586,7 @@ class CalibrationResult(Result):
 
     @property
     def multipliers(self) -> Array:
-        """Lagrange multiplier D of the match in 1/m², (n_bands,).
+        """Lagrange multiplier D of S'alpha = b in 1/m², (n_bands,); NaN without this constraint.
 
         Coefficients at no bound are mu - D S sigma², with the input mu and the areas S (Bellows & Katz
         2025, Eq. 25).
@@ -640,7 +648,7 @@ class CalibrationResult(Result):
 
     @property
     def matched(self) -> Array:
-        """Whether each band was matched to T, (n_bands,) of bool; False without a term that uses T."""
+        """Whether the calibration used the measured T of each band, (n_bands,) of bool."""
         return np.asarray(np.isfinite(self.target) & self.joint.asks_for_measured_time)
 
     @cached_property
@@ -657,12 +665,12 @@ class CalibrationResult(Result):
 
     @property
     def gap_before(self) -> Array:
-        """Deviation T of the input - T measured, in JND of 5 %, with its sign, (n_bands,)."""
+        """T of the input minus the measured T, (n_bands,), in JND: 5 % of the measured T."""
         return gap_jnd(self.reverberation_time_before, self.measured)
 
     @property
     def gap_after(self) -> Array:
-        """Deviation T calibrated - T measured, in JND of 5 %, with its sign, (n_bands,)."""
+        """Calibrated T minus the measured T, (n_bands,), in JND: 5 % of the measured T."""
         return gap_jnd(self.reverberation_time_after, self.measured)
 
     @property
@@ -672,7 +680,7 @@ class CalibrationResult(Result):
 
     @property
     def shift_in_sigmas(self) -> Array:
-        """Change of each coefficient over its sigma, (n_materials, n_bands); 0 where sigma = 0."""
+        """`shift` divided by the input sigma, (n_materials, n_bands); 0 where sigma = 0."""
         sigma = self.prior.sigma
         return np.divide(self.shift, sigma, out=np.zeros_like(sigma), where=sigma > 0)
 
@@ -749,7 +757,7 @@ class CalibrationResult(Result):
 
     @property
     def record(self) -> CalibrationRecord:
-        """Record of method, equation, data, solver and version, for the calibrated room."""
+        """Record of the calibration, which `room` has: method, equation, data, solver and version."""
         return CalibrationRecord(
             method=self.method,
             equation=self.equation.name,
@@ -817,12 +825,13 @@ class CalibrationResult(Result):
         """Return T after a change of this room, with its uncertainty.
 
         T after the change is the calibrated T times the ratio of T after to T before the change. The
-        ratio is that of the equation, or of a simulation program if ``run``, its results before the
-        change, and ``run_after``, those after the change, are given. ``changes`` are changes in the
-        given order, or the changed room itself. ``name`` is that of the variant in the output.
-        ``assumptions`` are the uncertainties that the prediction assumes; None for those of
-        `rtcal.Assumptions`. Raises ModelError for the reasons of `known`, and the errors of
-        `rtcal.prediction.predict`.
+        ratio is that of the equation. If ``run`` (a simulation program's results before the change) and
+        ``run_after`` (those after it) are given, the ratio is that of the program.
+
+        ``changes`` are changes in the given order, or the changed room itself. ``name`` is the name of
+        the planned change in the output. ``assumptions`` are the uncertainties that the prediction
+        assumes; None stands for `rtcal.Assumptions()`. Raises ModelError if the calibration has an
+        `AddedAbsorption` or `LinearObservations` term, and the errors of `rtcal.predict`.
         """
         return predict(
             self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after
@@ -917,7 +926,7 @@ class CalibrationResult(Result):
         )
 
     def blocks(self) -> list[Block]:
-        """Return the tables of the bands and the coefficients, for text and page."""
+        """Return the parts of the printed result and of the HTML page, in order: texts and tables."""
         return blocks_of(self._record(whole=False))
 
 

@@ -63,19 +63,24 @@ SMALLEST_UNCERTAINTY = 1e-6
 
 
 class Model:
-    """Unknowns of a calibration, and values of room and measurement, as cvxpy expressions for terms.
+    """Unknowns and numbers of a calibration as cvxpy expressions, with which you write your own terms.
+
+    `rtcal.Calibration` makes the model and calls your functions with it. A function that returns an
+    expression to be minimised, such as ``lambda m: cp.sum_squares(m.deviation)``, is a term of the
+    objective. A function that returns a list of cvxpy constraints is a constraint.
 
     Attributes
     ----------
     layout : Layout
-        Order of the materials, bands, configurations and effects.
+        Order of the unknowns: materials, bands, configurations, and names of `AddedAbsorption` terms.
     x : variable (n_materials * n_bands,)
-        Deviation of each coefficient from the input in sigmas, (alpha - mu) / sigma, row by row.
-        Materials that share their coefficients have one row. Where sigma = 0 the coefficient is mu.
+        Deviation (alpha - mu) / sigma of each coefficient from the input mu, material by material.
+        Materials that share their coefficients (`Shared`) count as one material. Where sigma = 0 the
+        coefficient is mu.
     deviation : expression (n_materials, n_bands)
-        Deviation of each coefficient from the input in sigmas, by material and band.
+        The same deviations ``x``, by material and band.
     effects : variable (n_effects,), optional
-        Deviation of each effect's size from its input, (size - mean) / sigma.
+        Deviation (size - mean) / sigma of the size of each `AddedAbsorption`; None without such terms.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -98,7 +103,11 @@ class Model:
         return self.parameter((self.layout.n_configurations, self.layout.n_bands), compute)
 
     def defined(self, expression: Any) -> Any:
-        """Return a cvxpy variable that equals an expression, so that a parameter may multiply it."""
+        """Return a new cvxpy variable that is constrained to equal an expression.
+
+        An expression that contains a parameter must not be multiplied by a second parameter, because
+        cvxpy would then compile the problem anew in each solve. The variable may be.
+        """
         variable = cp.Variable(expression.shape)
         self.definitions.append(variable == expression)
         return variable
@@ -167,7 +176,11 @@ class Model:
         configuration: int,
         scale: Callable[[Numbers], Any] = lambda _: 1.0,
     ) -> Any:
-        """Return the absorption area of some rows of unknowns in m² times a scale, (n_bands,)."""
+        """Return the absorption area in m² of some materials in one configuration, (n_bands,).
+
+        ``rows`` are rows of `deviation` and ``configuration`` is a number from 0. ``scale`` returns a
+        factor of the area, (n_bands,) or one number, from the values of room and measurement.
+        """
         chosen = list(rows)
         x = self.deviation if len(chosen) == self.layout.n_alpha_rows else self.deviation[chosen]
 
@@ -231,7 +244,11 @@ class Objective(_Summand):
 
 
 class Term(_Summand, ABC):
-    """Base of the terms of an objective. Terms and functions of a `Model` can be added."""
+    """Base class of objective terms, which are added with ``+`` and weighted with ``*``.
+
+    `rtcal.Calibration` minimises such a sum, as ``PriorDeviation() + 0.3 * BandSmoothness()``. A
+    function of a `Model` that returns a cvxpy expression can be added to a term, too.
+    """
 
     is_prior: ClassVar[bool] = False
     """Whether the term keeps coefficients near the input; a calibration has exactly one such term."""
@@ -243,11 +260,18 @@ class Term(_Summand, ABC):
         """Return the cvxpy expression to be minimised."""
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return a lower limit of the term's second derivative by each deviation; 0 if unknown."""
+        """Return a lower limit of the term's curvature, with the values ``numbers``; 0 if unknown.
+
+        The curvature is the least eigenvalue of the second derivatives by the deviations `Model.x`.
+        ``numbers`` are the values of room and measurement.
+        """
         return 0.0
 
     def structure(self) -> Term:
-        """Return the term that stands for all terms with the same compiled problem."""
+        """Return a copy of the term without the numbers that may change in a compiled problem.
+
+        Terms with equal copies share one compiled problem.
+        """
         alike = copy.copy(self)
         vars(alike).update(self.in_numbers)
         return alike
@@ -266,7 +290,7 @@ def as_objective(term: Any) -> Objective:
 
 @dataclass(frozen=True)
 class PriorDeviation(Term):
-    """Term that keeps coefficients near the input: half the sum of squared deviations in sigmas.
+    """Objective term that keeps coefficients near the input: half the squared deviations in sigmas.
 
     The term is ½ x'R⁻¹x with x = (alpha - mu) / sigma, the input coefficients mu, and the correlation R
     of their errors.
@@ -274,8 +298,8 @@ class PriorDeviation(Term):
     When to use it: always, or `HuberDeviation` in its place. With `ExactMatch` and no correlation it
     gives the maximum-likelihood estimate of Bellows & Katz (2025), Eq. 19, and with
     ``PriorDeviation(sigma=1)`` their least-squares estimate (Eq. 7). Give correlations where errors go
-    together: a data sheet that is too low at 500 Hz is likely too low at 1 kHz. docs/modelling.md says
-    when they change nothing.
+    together: a data sheet that is too low at 500 Hz is likely too low at 1 kHz. With exact matches, a
+    band correlation often changes no coefficient (docs/modelling.md gives the conditions).
 
     Parameters
     ----------
@@ -317,7 +341,7 @@ class PriorDeviation(Term):
 
     @property
     def correlated(self) -> bool:
-        """Whether errors are correlated, or have a part that all coefficients have in common."""
+        """Whether errors of different coefficients are correlated: by band, material, or in common."""
         return bool(self.band_correlation or self.material_correlation or self.common)
 
     def __call__(self, m: Model) -> Any:
@@ -333,13 +357,21 @@ class PriorDeviation(Term):
         return 0.5 * cp.quad_form(x, _correlation(self, m.layout)[1], assume_PSD=True) + of_common
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return a lower limit of the term's second derivatives: the least eigenvalue of R⁻¹."""
+        """Return a lower limit of the term's curvature, 1 over the largest eigenvalue of R.
+
+        With ``common``, the largest eigenvalue of t² mu mu' in units of sigma is added to that of R.
+        ``numbers`` are the values of room and measurement.
+        """
         q = numbers.common_shift * numbers.inverse_sigma
         largest = _correlation(self, numbers.layout)[2]
         return float(1 / (largest + (q @ q if self.common else 0.0)))
 
     def correlate(self, columns: Array, layout: Layout) -> Array:
-        """Return R @ columns, (size, n), with the correlation R; further unknowns are independent."""
+        """Return R @ columns, (size, n), where R is the correlation of the errors of all unknowns.
+
+        ``columns`` (size, n) has one row per unknown, in the order of ``layout``: the coefficients, and
+        the sizes of `AddedAbsorption` terms, whose errors are independent.
+        """
         root, *_ = _correlation(self, layout)
         alpha = root @ (root.T @ columns[: layout.n_alpha])
         return np.concatenate([alpha, columns[layout.n_alpha :]])
@@ -398,7 +430,7 @@ def _correlation(term: PriorDeviation, layout: Layout) -> tuple[Any, Any, float]
 
 @dataclass(frozen=True)
 class HuberDeviation(Term):
-    """Term that keeps coefficients near the input, but allows few of them to be far from it.
+    """Objective term that keeps coefficients near the input, but allows few of them to be far from it.
 
     The term is the sum of e x²/2 + (1 - e) h(x) over x = (alpha - mu) / sigma, with h(x) = x²/2 for |x|
     <= t and t |x| - t²/2 beyond (Huber 1964, Eq. 2.4). e = 0.01 makes the answer unique.
@@ -430,7 +462,7 @@ class HuberDeviation(Term):
         return self.convex * half_squares(m.x) + (1 - self.convex) * near
 
     def convexity(self, numbers: Numbers) -> float:
-        """Return e, a lower limit of the term's second derivative by each deviation."""
+        """Return e = 0.01, the lower limit of the term's curvature, for any ``numbers``."""
         return self.convex
 
 
@@ -457,7 +489,10 @@ class ExactMatch:
         return numbers.target, numbers.target
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the name of the band that a row of the constraint matches."""
+        """Return the text for messages by which a user knows the matched band.
+
+        ``row`` is the band's number from 0, counted over all bands of all configurations.
+        """
         return f"exact match of T at {layout.band_label(row)} (m² of absorption)"
 
 
@@ -509,19 +544,19 @@ class MatchWithin(ExactMatch):
         return np.fmin(low, numbers.target), np.fmax(high, numbers.target)
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the name of the band that a row of the constraint matches."""
+        """Return the text for messages by which a user knows the matched band, as in `ExactMatch`."""
         return f"match of T within {self.jnd:g} JND at {layout.band_label(row)} (m² of absorption)"
 
 
 @dataclass(frozen=True)
 class SoftMatch(Term):
-    """Term that matches the measured T within its uncertainty, so that errors of T change alpha less.
+    """Objective term that matches T within its uncertainty, so that errors of T change alpha less.
 
     The term is ½ sum ((S'alpha - b) / u_b)², with the absorption area S'alpha, the area b that T needs,
     and its standard uncertainty u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
 
-    When to use it: whenever the uncertainty of T is known, and always for several configurations. With
-    weight 1 and `PriorDeviation` the answer is the most probable one.
+    When to use it: whenever the uncertainty of T is known, and always for several configurations. The
+    sum ``PriorDeviation() + SoftMatch()`` has its minimum at the most probable coefficients.
 
     With ``room=True`` the term is ½ r'C⁻¹r, r = b - S'alpha. C is the covariance of r in all bands from
     the uncertainties of T and of the room's volume, areas and climate
@@ -543,7 +578,7 @@ class SoftMatch(Term):
     >>> room, measured = rt.datasets.bras_cr2()
     >>> objective = rt.terms.PriorDeviation() + SoftMatch(room=True)
     >>> problem = rt.Calibration(objective).build(room.replace(volume_sigma=0.05))
-    >>> problem.solve(measured).gap_after.round(1)
+    >>> problem.solve(measured).gap_after.round(1)  # calibrated T minus measured T, in JND of 5 %
     array([1.9, 0.3, 0.4, 0.4, 0.4, 0.3])
     """
 
@@ -609,14 +644,14 @@ class SoftMatch(Term):
 
 @dataclass(frozen=True)
 class LinearObservations(Term):
-    """Term for measured values that depend linearly on the coefficients, beside T.
+    """Objective term for measured values, other than T, that depend linearly on the coefficients.
 
     The term is ½ (y - J alpha)' C⁻¹ (y - J alpha), with the values y, their derivatives J by alpha and
-    the covariance C of their errors. y, J and C are given as an `Observed` when the problem is solved:
-    ``problem.solve(measured, observed={term: Observed(...)})``.
+    the covariance C of their errors. Give y, J and C as an `Observed` to the problem that
+    `rtcal.Calibration.build` returns: ``problem.solve(measured, observed={term: Observed(...)})``.
 
-    When to use it: where measurements determine more of alpha than one T per band does, as those at
-    positions in `rtcal.calibrate_positions`. Use weight 1.
+    When to use it: where you have such values, as `rtcal.calibrate_positions` has for each position.
+    They determine more of alpha than one T per band. Give the term no weight, because C has it.
 
     Parameters
     ----------
@@ -645,15 +680,16 @@ class LinearObservations(Term):
 
 @dataclass(frozen=True)
 class BandSmoothness(Term):
-    """Term that keeps the changes of a material's coefficients similar in neighbouring bands.
+    """Objective term that keeps the changes of a material's coefficients similar in neighbouring bands.
 
-    The term is ½ sum (x_k+1 - x_k)² / d_k, with the deviation x = (alpha - mu) / sigma from the input
-    and d_k octaves between bands k and k+1. With a correlation R of materials the square of a step s is
-    s'R⁻¹s, so that a material that is stated in two parts counts once.
+    The term is ½ sum (x_k+1 - x_k)² / d_k over bands k and materials, with the deviation x = (alpha -
+    mu) / sigma from the input and d_k octaves between bands k and k+1. If materials are correlated, the
+    sum of squares over the materials becomes s'R⁻¹s, with their steps s and their correlation R.
 
     When to use it: with `SoftMatch` or bands without T, when a material's error is expected to change
     slowly over frequency. The term smooths the change and not alpha, so that a resonant absorber
-    keeps its peak. docs/modelling.md says when it changes nothing.
+    keeps its peak. Begin with the weight 0.3. With exact matches the term often changes no coefficient
+    (docs/modelling.md gives the conditions).
 
     Parameters
     ----------
@@ -685,7 +721,7 @@ class BandSmoothness(Term):
 
 @dataclass(frozen=True)
 class AddedAbsorption(Term):
-    """Term that adds absorption of unknown size and known spectrum to the room.
+    """Objective term that adds absorption of unknown size and known spectrum to the room.
 
     The size theta >= 0 is calibrated with the coefficients, and theta times ``gain`` is added to the
     absorption area. The term is ½ ((theta - mean) / sigma)² (docs/modelling.md).
@@ -728,7 +764,7 @@ class AddedAbsorption(Term):
         return half_squares(m.effects[m.layout.further.index(self.name)])
 
     def gains(self, n_configurations: int, n_bands: int) -> Array:
-        """Return the gain in m² by configuration and band; ModelError if its shape does not fit."""
+        """Return the gain in m², (n_configurations, n_bands); ModelError if its shape does not fit."""
         gain = np.array(self.gain)
         if gain.shape[1] != n_bands or gain.shape[0] not in (1, n_configurations):
             raise ModelError(
@@ -842,7 +878,10 @@ class AtMost:
         return [lesser <= greater]
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return which coefficient must be at most which other one, for a row of the constraint."""
+        """Return the text for messages by which a user knows one inequality of this constraint.
+
+        ``row`` is the number of the inequality, from 0: one for each band, in the order of the bands.
+        """
         lesser, greater = self._places(layout)
         return f"{layout.place(int(lesser[row]))} at most {layout.place(int(greater[row]))}"
 
@@ -907,7 +946,10 @@ class GroupAbsorption:
         ]
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the group and the band that a row of the constraint limits."""
+        """Return the text for messages by which a user knows the group and the limited band.
+
+        ``row`` is the number of the limited band, from 0.
+        """
         band = bands.label(layout.centre_frequencies[self._bands(layout)[row]])
         return f"absorption of {', '.join(self.materials)} at {band} (m²)"
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 else:
 
     class _Cvxpy:
-        """cvxpy, which is imported when one of its names is first used: a page needs none of it."""
+        """Stand-in for the module cvxpy, which imports it when one of its names is first used."""
 
         def __getattr__(self, name: str) -> Any:
             if "cvxpy" not in sys.modules:
@@ -167,10 +167,9 @@ class Configurations:
         """Return the changes of b - S'alpha in m² by one standard deviation of each error of the rooms.
 
         b is the absorption area that T needs, and S'alpha is that of the input coefficients. The shape
-        is (n_changes, n_configurations * n_bands), with the errors in the order of
-        `rtcal.acoustics.room_errors.target_changes`. Configurations share the errors of volume and
-        areas, but not those of the climate. ``times`` (n_configurations, n_bands) are the measured T in
-        s.
+        is (n_errors, n_configurations * n_bands), 0 errors if all rooms are exact. The errors are those
+        of volume, all areas together, the area of each material, and temperature and humidity of each
+        configuration. ``times`` (n_configurations, n_bands) are the measured T in s.
         """
         checks.instance("equation", equation, LinearEquation)
         times = checks.array("times", times)
@@ -226,7 +225,12 @@ class Configurations:
 
 @dataclass(frozen=True, repr=False)
 class Layout:
-    """Order of the unknowns in one vector: coefficients material by material and band, then effects."""
+    """Order of a calibration's unknowns in one vector (size,): coefficients, then sizes of effects.
+
+    The coefficients are in the order of the materials, those of one material in the order of the bands.
+    An effect is an `rtcal.terms.AddedAbsorption`. ``alpha_rows`` has one number per material, from 0,
+    which is the same for materials that share their coefficients. ``further`` are names of effects.
+    """
 
     materials: tuple[str, ...]  # all of them
     alpha_rows: tuple[
@@ -295,7 +299,10 @@ class Layout:
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
 
     def sharing(self, group: Iterable[str]) -> Layout:
-        """Return the layout in which some materials, and all that share with them, have one row."""
+        """Return the layout in which the materials ``group`` share their coefficients.
+
+        Materials that already shared theirs with one of the group share them with all of it.
+        """
         merged = {int(self.index(name)[0]) // self.n_bands for name in group}
         heads = [min(merged) if row in merged else row for row in self.alpha_rows]
         order = list(dict.fromkeys(heads))
@@ -312,7 +319,10 @@ class Layout:
         return f'alpha["{names}", {bands.label(self.centre_frequencies[band])}]'
 
     def band_label(self, row: int) -> str:
-        """Return the name of a matched row: its band, and its configuration if there are several."""
+        """Return the name of a band for messages, with its configuration if there are several.
+
+        ``row`` is the number of the band, from 0, counted over all bands of all configurations.
+        """
         configuration, band = divmod(int(row), self.n_bands)
         label = bands.label(self.centre_frequencies[band])
         return (
@@ -320,7 +330,11 @@ class Layout:
         )
 
     def expand(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return the coefficients among values of all unknowns, (size, ...), by material and band."""
+        """Return the part of ``values`` that belongs to coefficients, (n_materials, n_bands, ...).
+
+        ``values`` (size, ...) has one row per unknown. Materials that share their coefficients get the
+        same values.
+        """
         by_row = values[: self.n_alpha].reshape(-1, self.n_bands, *values.shape[1:])
         return np.asarray(by_row[list(self.alpha_rows)])
 
@@ -373,13 +387,13 @@ class Observed:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
     def over(self, layout: Layout, mu: Array, sigma: Array) -> Array:
-        """Return an array [R, z] with which ½ |R x - z|² is the term of these data, but for a constant.
+        """Return the data as an array [R, z]: their term is ½ |R x - z|² plus a constant.
 
         x are the deviations of the coefficients from their input ``mu`` (n_alpha,), in units of
-        ``sigma`` (n_alpha,). The array is (n_alpha, n_alpha + 1), with the vector z as its last column.
-        R is the upper triangle of the QR decomposition of the derivatives times sigma, divided by the
-        errors (whitened). Columns of materials that share their coefficients are added up. Raises
-        DataError if the data are derivatives by other materials or bands than those of ``layout``.
+        ``sigma`` (n_alpha,). The array is (n_alpha, n_alpha + 1): the upper triangular matrix R of a QR
+        decomposition, and z as its last column. Derivatives by materials that share their coefficients
+        are added up. Raises DataError if ``matrix`` has not one column for each material and band of
+        ``layout``.
         """
         n, k = len(layout.materials) * layout.n_bands, layout.n_bands
         if self.matrix.shape[1] != n:
@@ -401,12 +415,12 @@ class Observed:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class Numbers:
-    """Values of room and measurement for one solve, with which a compiled problem is filled.
+    """Values of room and measurement for one solve of a calibration, in the order of its unknowns.
 
     Input values ``mu``, standard deviations ``sigma`` and the bounds ``lower`` and ``upper`` of the
-    unknowns are (size,). ``time`` is the measured T in s and ``target`` the absorption area in m² that
-    T needs, with its standard uncertainty and sensitivity; all are (n_configurations, n_bands), NaN
-    where T is missing.
+    unknowns are (size,), in the order of ``layout``. ``time`` is the measured T in s and ``target`` the
+    absorption area b in m² that T needs, with its standard uncertainty in m² and its sensitivity
+    |db/dT| in m²/s. All four are (n_configurations, n_bands), NaN where T is missing.
     """
 
     layout: Layout
@@ -461,7 +475,7 @@ class Numbers:
 
     @property
     def largest_target(self) -> Array:
-        """Largest absorption area in m² that the equation can invert, (n_configurations, 1)."""
+        """Largest absorption area in m² that the equation can give for a T, (n_configurations, 1)."""
         return np.array([[self.equation.largest_mean * room.total_area] for room in self.rooms])
 
     def target_of(self, times: Array) -> Array:
