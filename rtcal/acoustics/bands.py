@@ -309,7 +309,11 @@ def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
 
 @dataclass(frozen=True)
 class Scale:
-    """Function of a value, whose mean over three third-octaves gives the octave's value."""
+    """Scale on which the values of three third-octaves are averaged, to give the value of the octave.
+
+    ``forward`` gives the averaged quantity for a value, such as 1 / T for T, ``inverse`` the value for
+    that quantity, and ``slope`` the derivative of ``forward``.
+    """
 
     forward: Callable[[Array], Array]
     inverse: Callable[[Array], Array]
@@ -369,9 +373,10 @@ class Conversion:
     def mean(self, values: Array, scale: Scale = ITSELF) -> Array:
         """Return values converted to the wanted bands, (..., n_wanted), NaN where a value is missing.
 
-        ``values`` (..., n_bands) are in the bands ``frequencies``. ``scale`` is the function of a value
-        that is averaged over third-octaves, such as `Observable.averaging`. By default the value itself
-        is averaged, as for absorption coefficients and their sigma.
+        ``values`` (..., n_bands) are in the bands ``frequencies``. A third-octave gets the value of its
+        octave. An octave gets the mean of its third-octaves on a ``scale``, such as 1 / T for T
+        (`Observable.averaging`). By default the values themselves are averaged, as for absorption
+        coefficients and their sigma.
         """
         parts = self._taken(checks.array("values", values))
         if parts.shape[-1] == 1:
@@ -382,10 +387,10 @@ class Conversion:
         """Return the standard uncertainty of values after their conversion, (..., n_wanted).
 
         ``values`` (..., n_bands) are the values before the conversion, and ``uncertainty`` (...,
-        n_bands) is their standard uncertainty. ``scale`` is the function of a value that is averaged
-        over third-octaves, such as `Observable.averaging`.
+        n_bands) is their standard uncertainty. Errors of third-octaves count as independent, so that a
+        third-octave has sqrt(3) times the uncertainty of its octave. ``scale`` is that of `mean`.
         """
-        if in_thirds(self.new) and not in_thirds(self.old):
+        if _in_thirds(self.new) and not _in_thirds(self.old):
             return np.asarray(np.sqrt(3) * self._taken(uncertainty)[..., 0])
         by_third = self._taken(scale.slope(values) * uncertainty)
         total = np.sqrt((by_third**2).sum(-1)) / by_third.shape[-1]
@@ -430,7 +435,7 @@ def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -
     >>> rule([400, 500, 630], [500], "alpha")
     'alpha is converted from third-octaves to octaves: the mean of the three thirds'
     """
-    old, new = in_thirds(as_bands(frequencies)), in_thirds(as_bands(wanted))
+    old, new = _in_thirds(as_bands(frequencies)), _in_thirds(as_bands(wanted))
     if old == new:
         return ""
     if new:
@@ -440,7 +445,9 @@ def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -
 
 
 def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T") -> list[str]:
-    """Return notes on the measured bands in Hz that are converted to the wanted bands, or left out.
+    """Return sentences for the user on measured bands that are converted to wanted bands, or left out.
+
+    ``measured`` and ``wanted`` are centre frequencies in Hz; ``quantity`` is the name in the sentences.
 
     Examples
     --------
@@ -460,21 +467,21 @@ def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T
 
 def _parts(old: Array, new: Array) -> list[list[float]]:
     """Return for each new band the old bands that it is made from, present or not."""
-    if in_thirds(old) == in_thirds(new):
+    if _in_thirds(old) == _in_thirds(new):
         return [[f] for f in new.tolist()]
-    if in_thirds(old):
+    if _in_thirds(old):
         return [thirds_of(f) for f in new.tolist()]
     octave = {f: float(o) for o in OCTAVES for f in thirds_of(o)}
     return [[octave.get(f, f)] for f in new.tolist()]
 
 
-def in_thirds(centres: Array) -> bool:
+def _in_thirds(centres: Array) -> bool:
     """Return whether the bands are third-octaves: whether one of them is no octave's centre."""
     return any(f in THIRD_OCTAVES and f not in OCTAVES for f in centres.tolist())
 
 
 def thirds_of(octave: float) -> list[float]:
-    """Return the centre frequencies in Hz of an octave's third-octaves; any other frequency alone."""
+    """Return the centre frequencies in Hz of an octave's third-octaves, or [octave] if it is none."""
     if octave not in OCTAVES:
         return [octave]
     place = THIRD_OCTAVES.index(octave)

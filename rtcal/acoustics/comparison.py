@@ -40,10 +40,11 @@ _BINS = 2000  # of an exponential decay over twice its T
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Comparison(Result):
-    """Deviation of a simulation run from the measurement, by parameter, band and pair.
+    """Deviation of simulated values from the measured ones, as `rtcal.compare` returns it.
 
-    Its tables are mappings from a parameter, such as ``"t20"``, to values (n_bands,) of the means, or
-    (n_pairs, n_bands) of the source-receiver pairs.
+    `deviation`, `uncertainty` and `disagrees` are mappings from a parameter, such as ``"t20"``, to
+    values (n_bands,) for the means over the pairs. `at_pairs` has values (n_pairs, n_bands). Deviations
+    are in just noticeable differences (JND). `sentence` says what disagrees, by how much and where.
     """
 
     record_kind: ClassVar[str] = "comparison"
@@ -232,7 +233,7 @@ class Comparison(Result):
         }
 
     def known(self, parameter: str) -> Array:
-        """Return a parameter's `uncertainty` in JND, (n_bands,), with 0 where it is unknown."""
+        """Return the `uncertainty` of a parameter's mean deviation in JND, (n_bands,); 0 if unknown."""
         return np.nan_to_num(self.uncertainty[parameter])
 
     @cached_property
@@ -284,10 +285,11 @@ def compare(
     measured : Measurement
         Measured room-acoustic parameters.
     run : Run, optional
-        Run of the program for ``room``, with any coefficients. By default T of the equation is
+        Results of the program for ``room``, with any coefficients. By default T of the equation is
         compared.
     equation : LinearEquation, optional
-        Reverberation equation by which errors of the coefficients change T; by default Eyring's.
+        Reverberation equation, Eyring's by default. It also gives the change of T that errors of the
+        coefficients can cause.
 
     Returns
     -------

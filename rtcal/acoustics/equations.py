@@ -36,7 +36,7 @@ only to reproduce their numbers."""
 
 @runtime_checkable
 class Equation(Protocol):
-    """Reverberation equation: any object that predicts the reverberation time of a room."""
+    """Reverberation equation: any object with a ``name`` and a method ``reverberation_time(room)``."""
 
     name: ClassVar[str]
 
@@ -47,7 +47,11 @@ class Equation(Protocol):
 
 @dataclass(frozen=True)
 class ReverberationEquation(ABC):
-    """Base of rtcal's reverberation equations, with the constant 24 ln 10 / c and the air's 4mV."""
+    """Base class of rtcal's reverberation equations, T = k V / (S a + 4 m V) with k = 24 ln 10 / c.
+
+    V is the volume, S the area and a the absorption exponent of the surfaces, m the attenuation
+    coefficient of the air (ISO 9613-1), and c the speed of sound.
+    """
 
     speed_of_sound: float | None = None
     """Speed of sound c in m/s; that of the room's air by default."""
@@ -66,7 +70,7 @@ class ReverberationEquation(ABC):
         """Return the reverberation time T of a room in s, (n_bands,)."""
 
     def absorption_area(self, room: Room, t: Array) -> Array:
-        """Raise ModelError, because T does not determine the absorption area in this equation."""
+        """Raise ModelError: T determines the absorption area in a `LinearEquation`, but not here."""
         raise ModelError(
             f"{self.name}'s equation is not a function of the mean absorption coefficient, so T does "
             "not determine the absorption area; calibrate it in the closed loop with "
@@ -113,8 +117,9 @@ def equation_keys(kind: type[Any] = ReverberationEquation) -> tuple[str, ...]:
 class MeanEquation(ReverberationEquation):
     """Equation in which T depends on one mean over the walls, such as the mean absorption coefficient.
 
-    The absorption exponent is E(mean), where the mean over the walls is that of their contributions
-    h(alpha), weighted by area. E and h are the identity unless an equation defines them. E and h take
+    The absorption exponent is a = E(mean), with the mean of h(alpha) over the walls, weighted by area.
+    E is the method `exponent` and h the method `contribution`. In Sabine's equation both are the
+    identity, in Eyring's E(mean) = -ln(1 - mean), in Millington's h(alpha) = -ln(1 - alpha). They take
     arrays of any shape, element by element.
     """
 
@@ -125,7 +130,7 @@ class MeanEquation(ReverberationEquation):
 
     @property
     def largest_mean(self) -> float:
-        """Mean up to which the absorption exponent rises, so that T determines the mean."""
+        """Largest mean up to which the absorption exponent rises, so that T determines the mean."""
         return np.inf
 
     def contribution(self, alpha: Array) -> Array:
@@ -133,7 +138,7 @@ class MeanEquation(ReverberationEquation):
         return np.asarray(alpha)
 
     def coefficient(self, contribution: Array) -> Array:
-        """Return the absorption coefficient of a wall from its `contribution` (the inverse)."""
+        """Return the absorption coefficient of a wall from its contribution (inverse of h)."""
         return np.asarray(contribution)
 
     def contribution_slope(self, alpha: Array) -> Array:
@@ -145,7 +150,7 @@ class MeanEquation(ReverberationEquation):
         return np.asarray(mean)
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean that has an absorption exponent, or NaN (inverse of `exponent`)."""
+        """Return the mean that gives an absorption exponent (inverse of `exponent`), or else NaN."""
         return np.asarray(exponent)
 
     def slope(self, mean: Array) -> Array:
@@ -153,18 +158,18 @@ class MeanEquation(ReverberationEquation):
         return np.ones_like(mean)
 
     def linear(self) -> LinearEquation:
-        """Return the equation that a calibration inverts in place of this equation.
+        """Return the equation by which a calibration calculates the absorption area from T.
 
-        If T depends on the absorption area alone, it is this equation itself. Otherwise it is Eyring's,
-        which gives the same T if all coefficients are equal.
+        This is the equation itself if its T depends on the absorption area alone. Otherwise it is
+        Eyring's, which gives the same T if all coefficients are equal.
         """
         return self if isinstance(self, LinearEquation) else Eyring(self.speed_of_sound)
 
     def diffuse_field(self) -> MeanEquation:
-        """Return the equation for the comparison with a simulator in which the field is diffuse.
+        """Return the equation with which to compare a simulator that makes the sound field diffuse.
 
-        This is Eyring's in place of an equation that does not hold in a diffuse field, such as
-        Sabine's or Millington's; any other equation is returned unchanged.
+        This is Eyring's equation instead of Sabine's or Millington's, whose T is wrong in a diffuse
+        field (`wrong_when_diffuse`). Any other equation is returned unchanged.
         """
         return Eyring(self.speed_of_sound) if self.wrong_when_diffuse else self
 
@@ -551,7 +556,10 @@ class Fitzroy(_AxisEquation):
     key: ClassVar[str] = "fitzroy"
 
     def combined(self, shares: Array, times: Array) -> Array:
-        """Return the arithmetic mean of the axes' T in s, weighted by their shares of the area."""
+        """Return the arithmetic mean of the axes' T in s, weighted by their shares of the area.
+
+        ``shares`` are (n_axes, 1), ``times`` (n_axes, n_bands), and the mean is (n_bands,).
+        """
         return np.asarray(np.sum(shares * times, axis=0))
 
 
@@ -572,6 +580,9 @@ class ArauPuchades(_AxisEquation):
     key: ClassVar[str] = "arau"
 
     def combined(self, shares: Array, times: Array) -> Array:
-        """Return the geometric mean of the axes' T in s, weighted by their shares of the area."""
+        """Return the geometric mean of the axes' T in s, weighted by their shares of the area.
+
+        ``shares`` are (n_axes, 1), ``times`` (n_axes, n_bands), and the mean is (n_bands,).
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.sum(shares * np.log(times), axis=0)))

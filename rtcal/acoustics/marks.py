@@ -43,8 +43,8 @@ def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array
     """Return the deviation model - measured in just noticeable differences (JND), with its sign.
 
     ``model`` and ``measured`` are values of ``parameter``, such as "t20", of one shape; the deviation
-    is NaN where either is missing. One JND of a decay time is 5 % of the measured value (ISO
-    3382-1:2009, Table A.1).
+    is NaN where either is missing. One JND is 5 % of the measured value for decay times, 1 dB for C50,
+    C80 and levels, 0.05 for D50, 10 ms for Ts (ISO 3382-1:2009, Table A.1), and 0.03 for STI.
 
     Examples
     --------
@@ -82,7 +82,9 @@ octaves 25 % for f = 2 and 75 % for f = 3, in 18 third-octaves 94 % for f = 2.""
 class Plausibility:
     """Agreement of the measured T with the input coefficients, judged by their uncertainties.
 
-    The deviation after a calibration cannot show this agreement, because calibration removes it.
+    ``z`` is the deviation in each band in standard deviations, ``q`` the sum of its squares, and
+    ``p_value`` the result of the chi-square test of q with ``degrees_of_freedom``. The deviation after
+    a calibration cannot show this agreement, because calibration removes it.
     """
 
     z: Array
@@ -104,14 +106,13 @@ Agreement = Literal["contradicts", "agrees", "too good"]
 
 
 def agreement(p_value: float | None, p_together: float | None = None) -> Agreement | None:
-    """Return whether measured T and input coefficients contradict, agree, or agree too well to be true.
+    """Return whether measured T and input coefficients agree: "contradicts", "agrees" or "too good".
 
-    They agree too well if T of the input coefficients is nearer to the measured T than the stated
-    uncertainties make likely: an uncertainty is then too large, or T was calculated from these
-    coefficients. ``p_value`` is the probability of a larger deviation if input and measurement are
-    right. If it is unknown, None, the result is None too. ``p_together`` is the same probability if all
-    coefficients may also be too high or too low together, None if unknown. They contradict only if both
-    probabilities are small.
+    ``p_value`` is the probability of a larger deviation if input and measurement are right, and
+    ``p_together`` the same probability if all coefficients may also be too high or too low together
+    (None if unknown). The result is "contradicts" if both are below 0.05, and None if ``p_value`` is
+    unknown (None). It is "too good" if ``p_value`` is above 0.99: an uncertainty is then too large, or
+    T was calculated from these coefficients.
     """
     if p_value is None:
         return None
@@ -214,7 +215,7 @@ class TrustMark:
 
     @property
     def checked(self) -> str:
-        """Input that may be mistyped: a value in one band, or what all bands have in common."""
+        """Words for the input that may be mistyped: "this value", or "areas, volume and T"."""
         return "areas, volume and T" if self.frequency is None else "this value"
 
     @property
@@ -340,9 +341,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
 
 
 def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> TrustMark:
-    """Return the caution of a kind.
+    """Return a caution with the letter and the advice that rtcal has for its kind.
 
-    ``advised`` is the kind whose advice the caution gets, by default its kind.
+    ``kind`` names the reason, such as "below_schroeder", ``frequency`` is the band in Hz (None for the
+    whole room), and ``text`` is the fact. If ``advised`` is given, letter and advice are those of this
+    other kind.
     """
     letter, advice = _ADVICE[advised or kind]
     return TrustMark(kind, letter, frequency, text, advice)
@@ -359,10 +362,13 @@ FAR_ELSE = 10.0
 def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_]:
     """Return True for each value that is far above or below those of the bands beside it, (n_bands,).
 
-    A jump between neighbouring bands begins a new group of bands, unless it leads back to an earlier
-    group. All values outside the largest group are far off, but none is if two groups are equally
-    large. ``values`` (n_bands,) that are not above 0 count as missing. ``late`` is True for T20 and
-    T30, and False for other parameters, whose first and last band are not judged.
+    ``values`` (n_bands,) that are not above 0 count as missing. ``late`` is True for T20 and T30.
+
+    From the lowest band up, each value joins the group whose last value is nearest, if their ratio is
+    below 4 (T20 and T30) or 10 (other quantities); otherwise it begins a new group. All values outside
+    the largest group are far off, but none is if two groups are equally large. Values before or after
+    all of the largest group are far off only for T20 and T30, and only if all of them differ from its
+    nearest value by a factor above 6.
     """
     found = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -431,10 +437,11 @@ _BY_CHANCE = 1e-2
 
 
 def given_twice(measured: Measurement) -> tuple[str, ...]:
-    """Return a caution for each position whose values all equal those of an earlier position.
+    """Return a text for each source-receiver pair whose values all equal those of an earlier pair.
 
-    A position with few values has a caution only if they are unlikely to be equal by chance. The chance
-    for one value is 1 over the number of rounding steps that one JND has.
+    A pair with fewer than 6 values has a text only if some two pairs are equal by chance with a
+    probability below 1 %. Two values are equal by chance with the probability that is the rounding step
+    over one JND (0.2 for T = 1.00 s with JND 0.05 s, rounded to 0.01 s).
     """
     every, names = np.hstack([*measured.values.values()]), [*map(" to ".join, measured.pairs)]
     steps = np.hstack([_steps(OBSERVABLES[key], v) for key, v in measured.values.items()])
@@ -494,9 +501,9 @@ def _surface_of_box(x: float, y: float, z: float) -> float:
 def likely_slips(room: Room) -> list[tuple[str, Room]]:
     """Return likely slips of a decimal point, each as a text and the room with the corrected value.
 
-    A slip is an area, or the volume, that is 10 or 100 times too large or too small. The surface of the
-    corrected room fits its dimensions or volume. The list is empty if the surface of ``room`` fits
-    already, and if more than two slips could be the reason.
+    A slip is an area, or the volume, that is 10 or 100 times too large or too small. The list is empty
+    if the total area of ``room`` is possible (0.9 to 1.4 times that of the box of its dimensions, or
+    without dimensions that of some box of its volume), and if more than two slips could be the reason.
 
     Examples
     --------
@@ -638,9 +645,9 @@ _ALLOWED = 2.0
 def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
     """Return a caution for each band whose decay is curved in the mean over the positions.
 
-    A decay counts as curved if the ratio T30/T20 or EDT/T20 differs from 1 by more than the limit of
-    this ratio, and by more than twice the ratio's scatter in straight decays. Only positions that have
-    both parameters of a ratio count.
+    A decay counts as curved if T30/T20 differs from 1 by more than 10 % (ISO 3382-2:2008, Annex B) or
+    EDT/T20 by more than 20 %, in both cases plus twice the standard deviation that this ratio has in
+    straight decays of noise. T30, EDT and T20 are means over the positions that have both parameters.
     """
     texts: dict[float, list[str]] = {}
     for parameter, slope in of_kind(DecaySlope).items():
@@ -682,9 +689,9 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     T of Eyring's equation, in which all surfaces count alike, is compared with T of Arau-Puchades'
     equation, which treats the axes separately. ``shares`` (n_materials, 3) are the shares of each
     material's area that face x, y and z, as `rtcal.acoustics.changes.facing` returns them; a material
-    with unknown shares counts a third on each axis. If the direction of most of the absorption is
-    unknown, the caution is only given if the equations would differ with all of the most absorbing
-    material on one axis; it then says that the direction is unknown.
+    with unknown shares (NaN) counts a third on each axis. If the shares of most of the absorption are
+    unknown, the equations are compared for an extreme case, in which all of the most absorbing of these
+    materials faces one axis. The caution then says that the direction is unknown.
     """
     known, total = enough_known(room, shares), room.total_area
     areas = np.where(room.is_surface, room.areas, 0.0)  # pieces face no axis
@@ -848,7 +855,10 @@ def letters(marks: Sequence[TrustMark], frequency: float) -> str:
 
 
 def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]:
-    """Yield the first caution of each kind and advice, with the facts of all cautions of that group."""
+    """Yield groups of cautions with the same kind and advice: the first caution, and all facts.
+
+    The facts are texts that begin with the bands, such as "125 and 250 Hz: the air absorbs ...".
+    """
     for kind, advice in dict.fromkeys((mark.kind, mark.advice) for mark in marks):
         alike = [mark for mark in marks if (mark.kind, mark.advice) == (kind, advice)]
         by_place: dict[str, list[str]] = {}

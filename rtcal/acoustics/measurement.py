@@ -87,7 +87,7 @@ def of_names(names: Iterable[str]) -> dict[str, str]:
 def names_of_repeats(receiver: str) -> Iterator[str]:
     """Yield the names for repeated measurements at a receiver: ``R1``, ``R1#2``, ``R1#3`` and so on.
 
-    Raises DataError after `MOST_REPEATS`.
+    Raises DataError after 1000 names (`MOST_REPEATS`).
     """
     yield receiver
     for n in range(2, MOST_REPEATS + 1):
@@ -101,7 +101,8 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
     """Return the pairs (source, receiver) with the names of repeats replaced by the original names.
 
-    For example, R1#2 becomes R1 (`of_names`). Raises DataError for different names that look alike.
+    For example, R1#2 becomes R1 (`of_names`). Raises DataError for names that differ only in upper
+    case, blanks or the width of characters.
     """
     of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]
@@ -143,7 +144,10 @@ def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
 
 
 def require_repeats(placed: Sequence[Pair], place: str) -> None:
-    """Raise DataError if repeats are stated, but each source-receiver pair was measured only once."""
+    """Raise DataError if each source-receiver pair of ``placed`` occurs only once.
+
+    Call this if the user says that there are repeats. The message begins with ``place``.
+    """
     if len({*placed}) == len(placed):
         raise DataError(
             f"{place}: repeats=True has no effect, because every source and receiver occurs "
@@ -423,7 +427,7 @@ class Measurement:
         Raises
         ------
         TooShortError
-            If a decay is too short for T20, which a mean over the other pairs would hide.
+            If a decay is too short for T20. Without this error the pair would be missing in the mean.
         DataError
             If a decay has no T20 at all, because nothing is reflected.
         """
@@ -477,19 +481,22 @@ class Measurement:
     def mean_uncertainty(self, parameter: str) -> Array:
         """Return the standard uncertainty u of a parameter's `mean`, (n_bands,), NaN where unknown.
 
-        ``parameter`` is a key, such as ``"t20"``. If all values of a band state an uncertainty, u
-        follows from these as independent errors. Otherwise u² is s² / n_eff, or for T20 and T30 the
-        variance of ISO 3382-2:2008, Eqs. 4 and 5 (N pairs, n = 10 decays), if that is larger. s is the
-        standard deviation over the pairs. n_eff is the larger of the numbers of sources and of
-        receivers, because pairs that share a source are not independent. If a common uncertainty is
-        stated, its square is added to u², and the part of u² from the values' uncertainties is then at
-        least s² / n_eff.
+        ``parameter`` is a key, such as ``"t20"``. u is calculated for each band as follows.
 
-        n_eff and N are at most `MAX_POSITIONS`, 12, because more pairs do not average out errors that
-        all pairs share: equipment, evaluation, climate. For T = 1 s, N = 12 and octaves, ISO 3382-2's
-        variance gives u of 2.9 % (125 Hz) to 0.5 % (4 kHz). Between teams, T30 at one pair in the music
-        studio of the PTB had standard deviations of 4.6 % (125 Hz) to 1.3 % (4 kHz) (Bork 2005). State
-        the uncertainty where teams or days are to be compared.
+        - If every value states a standard uncertainty u_i, u² = sum u_i² / N² for N pairs, because the
+          errors count as independent.
+        - Otherwise u² = s² / n_eff, with the standard deviation s over the pairs. n_eff is the larger
+          of the numbers of sources and of receivers, because pairs that share a source are not
+          independent. For T20 and T30, u² is at least the variance of ISO 3382-2:2008, Eqs. 4 and 5,
+          for N pairs and 10 decays. n_eff and N count as at most 12 (`MAX_POSITIONS`), because all
+          pairs share errors of equipment, evaluation and climate, which do not average out.
+        - A common uncertainty adds its square to u². If the values state u_i as well, u² without the
+          common uncertainty is at least s² / n_eff.
+
+        For T = 1 s, N = 12 and octaves, ISO 3382-2's variance gives u of 2.9 % (125 Hz) to 0.5 % (4
+        kHz). Between teams, T30 at one pair in the music studio of the PTB had standard deviations of
+        4.6 % (125 Hz) to 1.3 % (4 kHz) (Bork 2005). State the uncertainty where teams or days are to be
+        compared.
 
         References
         ----------

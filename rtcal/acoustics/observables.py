@@ -58,9 +58,9 @@ Part = Literal["late", "early", "level"]
 class Observable(ABC):
     """Room-acoustic parameter, such as T20 or C80, and its calculation from an energy decay.
 
-    An energy decay is the energy in each time bin. The methods use an "observed quantity", in which
-    errors are normal and effects nearly linear: the logarithm of a time, or the value itself of any
-    other parameter.
+    An energy decay is the energy in each time bin. The methods use an "observed quantity", which is
+    nearly linear in the absorption coefficients and has normal errors: ln T for T20, T30 and EDT, ln Ts
+    for Ts, and the value itself for any other parameter.
     """
 
     key: ClassVar[str]
@@ -123,14 +123,17 @@ class Observable(ABC):
 
     @abstractmethod
     def rate(self, observed: Array) -> Array:
-        """Return a quantity linear in the absorption area that rises with the observed quantity."""
+        """Return a quantity, such as -1 / T, that is linear in the absorption area in a diffuse field.
+
+        It rises with the observed quantity, such as ln T, of which ``observed`` are values.
+        """
 
     def linear(self, observed: Array, stated: Array) -> Array:
-        """Return the deviation from a reference, in a quantity linear in the absorption area.
+        """Return the relative deviation of the quantity `rate` from its value at a reference.
 
         ``observed`` are values of the observed quantity, such as ln T, and ``stated`` is its value at
-        the reference. Near the reference, the size of the deviation is the relative change of the
-        absorption area.
+        the reference. In a diffuse field the size of the result is the relative change of the
+        absorption area: for T it is 1 - T_ref / T.
         """
         at = self.rate(stated)
         return np.asarray((self.rate(observed) - at) / np.abs(at))
@@ -146,7 +149,10 @@ class Observable(ABC):
         return np.zeros(np.shape(energy)[:-1], dtype=bool)
 
     def key_in(self, values: Container[str]) -> str:
-        """Return the key under which a table has the parameter: its key or that of its stand-in."""
+        """Return the key under which ``values``, a table by parameter, has this parameter.
+
+        The key is `stand_in` (for the relative level: G) if the table lacks the parameter's own key.
+        """
         return self.key if self.stand_in is None or self.key in values else self.stand_in
 
     def observed(self, values: Array) -> Array:
@@ -161,11 +167,17 @@ class Observable(ABC):
         return np.asarray(np.exp(observed)) if self.logarithmic else observed
 
     def of_observed(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of the observed quantity, such as ln T, from that of T."""
+        """Return the standard uncertainty of the observed quantity from that of ``values``.
+
+        For a decay time T, whose observed quantity is ln T, it is ``uncertainty`` / T.
+        """
         return np.asarray(uncertainty / values) if self.logarithmic else uncertainty
 
     def of_value(self, uncertainty: Array, values: Array) -> Array:
-        """Return the uncertainty of values, such as T, from that of the observed quantity ln T."""
+        """Return the standard uncertainty of ``values`` from that of the observed quantity.
+
+        For a decay time T, whose observed quantity is ln T, it is ``uncertainty`` times T.
+        """
         return np.asarray(uncertainty * values) if self.logarithmic else uncertainty
 
     def jnd_of(self, values: Array) -> Array | float:
@@ -181,7 +193,7 @@ class Observable(ABC):
         return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), self.teams))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return the standard deviation of the observed quantity in one noise-like impulse response.
+        """Return the standard deviation of the observed quantity in one response of decaying noise.
 
         In a band of bandwidth B the energy of a time bin of width w has the relative variance 1 / (B
         w). ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are the decay times T in s.
@@ -199,18 +211,25 @@ class Observable(ABC):
         return out
 
     def overall(self, values: Array, frequencies: Array) -> Array:
-        """Return the single-number value (...) of values by band, (..., n_bands), or NaN."""
+        """Return the single-number value of a parameter from its values by band, such as the STI.
+
+        ``values`` are (..., n_bands), ``frequencies`` (n_bands,) are in Hz. The result is (...), NaN
+        for a parameter without a single-number value.
+        """
         return np.full(np.shape(values)[:-1], np.nan)
 
     def variance_of_mean(
         self, frequencies: Array, mean: Array, positions: Array, decays: int = _DECAYS
     ) -> Array:
-        """Return the theoretical variance of a mean over positions; NaN without a theory."""
+        """Return the theoretical variance of a mean over positions, as `DecaySlope.variance_of_mean`.
+
+        It is NaN for parameters other than T20 and T30, because ISO 3382-2 has no theory for them.
+        """
         return np.full(np.shape(mean), np.nan)
 
     @property
     def rule(self) -> str:
-        """Words for the values that are accepted, and for the likely mistake beyond them.
+        """Words for error messages: which values are accepted, and the likely mistake beyond them.
 
         Examples
         --------
@@ -227,7 +246,7 @@ class Observable(ABC):
             return np.asarray((values < least) | (values > most * (1 + 1e-9)))
 
     def largest_uncertainty(self, values: Array) -> Array:
-        """Return the largest meaningful uncertainty of values; for a level, the range of its limits."""
+        """Return the largest uncertainty that is accepted for each value: the range of `limits`."""
         least, most = self.limits
         return np.full(np.shape(values), most - least)
 
@@ -251,8 +270,9 @@ def register(kind: type[O]) -> type[O]:
     Raises
     ------
     DataError
-        If another class has the key, ``teams`` has not one value per octave of `OCTAVES`, or the
-        gradient is not the derivative of the observed quantity.
+        If another class has the key, ``teams`` (standard deviations between measuring teams) has not
+        one value for each octave from 125 Hz to 4 kHz, or ``gradient`` is not the derivative of the
+        observed quantity.
     """
     new: Observable = kind()
     place = f'observable "{new.key}"'
@@ -394,7 +414,10 @@ class Relative(Observable):
 
 
 class DecaySlope(Relative):
-    """Base of decay times in s: -60 dB over the slope of the decay curve within a range of levels."""
+    """Base class of decay times in s: -60 dB over the slope of the decay curve's regression line.
+
+    The line is fitted where the decay curve is between ``upper`` and ``lower`` in dB.
+    """
 
     upper: ClassVar[float]  # of the range, in dB
     lower: ClassVar[float]
@@ -422,7 +445,10 @@ class DecaySlope(Relative):
         return self.of_decay(energy, decay_curve_db(energy), bin_width)
 
     def of_decay(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the decay times of energy decays in s from their decay curves ``level`` in dB."""
+        """Return the decay times of energy decays in s, from their decay curves ``level`` in dB.
+
+        A decay time is NaN if the decay is `too_short`, and for the reasons of `of_curve`.
+        """
         return np.where(self.too_short(energy), np.nan, self.of_curve(level, bin_width))
 
     def of_curve(self, level: Array, bin_width: float) -> Array:
@@ -485,10 +511,11 @@ class DecaySlope(Relative):
         return values
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return the relative standard deviation of T from one decay, `one_decay` / sqrt(B T).
+        """Return the relative standard deviation of T from one decay, c / sqrt(B T).
 
-        Source: ISO 3382-2:2008, Eqs. 4 and 5, for T20 and T30; B is the bandwidth in Hz.
-        ``frequencies`` (n_bands,) are in Hz, ``times`` (..., n_bands) are T in s.
+        B is the bandwidth in Hz. The constant c (`one_decay`) is 0.88 for T20 and 0.55 for T30 (ISO
+        3382-2:2008, Eqs. 4 and 5), and 1.6 for EDT (simulated noise). ``frequencies`` (n_bands,) are in
+        Hz, ``times`` (..., n_bands) are T in s.
         """
         bandwidth = bands.bandwidth_factor(frequencies) * frequencies
         with np.errstate(invalid="ignore"):
@@ -499,10 +526,11 @@ class DecaySlope(Relative):
     ) -> Array:
         """Return the variance a² T (1 + b / n) / (N B) of a mean T over N positions with n decays.
 
-        The variance is in s². B is the bandwidth in Hz. ``frequencies`` (n_bands,) are in Hz, ``mean``
-        (n_bands,) is T in s, ``positions`` (n_bands,) is N and ``decays`` is n. The standard was not
-        at hand; a and b are those of RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P.
-        Dietrich, 2009), which names EN ISO 3382.
+        The variance is in s², NaN for EDT. B is the bandwidth in Hz. ``frequencies`` (n_bands,) are in
+        Hz, ``mean`` (n_bands,) is T in s, ``positions`` (n_bands,) is N and ``decays`` is n. The
+        equation is that of ISO 3382-2:2008, Eqs. 4 and 5. The constants a and b (`averages`) are taken
+        from RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names
+        EN ISO 3382 as its source.
         """
         if self.averages is None:
             return super().variance_of_mean(frequencies, mean, positions, decays)
@@ -572,13 +600,13 @@ def longest(keys: Iterable[str]) -> DecaySlope:
     return min([o for k, o in of_kind(DecaySlope).items() if k in asked], key=attrgetter("lower"))
 
 
-def divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
+def _divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
     """Return the energy before and after ``limit`` s; a bin across the limit is divided."""
-    share = early_share(energy.shape[-1], bin_width, limit)
+    share = _share_before(energy.shape[-1], bin_width, limit)
     return energy @ share, energy @ (1 - share)  # the late energy as a difference could be below 0
 
 
-def early_share(n_bins: int, bin_width: float, limit: float) -> Array:
+def _share_before(n_bins: int, bin_width: float, limit: float) -> Array:
     """Return the share of each time bin that is before ``limit`` s, (n_bins,)."""
     return np.clip(limit / bin_width - np.arange(n_bins), 0.0, 1.0)
 
@@ -612,7 +640,7 @@ class Clarity(Observable):
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return the clarity of energy decays in dB; infinite without late energy, NaN without any."""
-        early, late = divided(energy, bin_width, self.limit)
+        early, late = _divided(energy, bin_width, self.limit)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(10 * np.log10(early / late))
 
@@ -623,14 +651,14 @@ class Clarity(Observable):
         of the bin before the limit, such as 80 ms, and early and late are the energies before and after
         it.
         """
-        share = early_share(energy.shape[-1], bin_width, self.limit)
+        share = _share_before(energy.shape[-1], bin_width, self.limit)
         early, late = energy @ share, energy @ (1 - share)
         return np.asarray(
             DB * (share / early[..., np.newaxis] - (1 - share) / late[..., np.newaxis])
         )
 
     def rate(self, observed: Array) -> Array:
-        """Return the decay rate k in 1/s of an exponential decay: C = 10 lg(exp(k limit) - 1)."""
+        """Return k in 1/s of the decay exp(-k t) with this clarity, C = 10 lg(exp(k limit) - 1)."""
         return np.asarray(np.log1p(np.exp(observed / DB)) / self.limit)
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
@@ -696,22 +724,28 @@ class D50(Observable):
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return D50 of energy decays, 0 to 1; NaN without energy."""
-        early, late = divided(energy, bin_width, C50.limit)
+        early, late = _divided(energy, bin_width, C50.limit)
         with np.errstate(invalid="ignore"):
             return np.asarray(early / (early + late))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative (share - D50) / sum(E) by a bin's energy, share its early part."""
-        share = early_share(energy.shape[-1], bin_width, C50.limit)
+        """Return the derivative of D50 by the energy of each time bin, (..., n_bins).
+
+        It is (share - D50) / sum(E), where share is the part of the bin before 50 ms.
+        """
+        share = _share_before(energy.shape[-1], bin_width, C50.limit)
         total = energy.sum(-1, keepdims=True)
         return np.asarray((share - (energy @ share)[..., np.newaxis] / total) / total)
 
     def rate(self, observed: Array) -> Array:
-        """Return the decay rate k per 50 ms of an exponential decay, for which D50 = 1 - exp(-k)."""
+        """Return 50 ms times the decay rate k of the decay exp(-k t) with this D50, -ln(1 - D50)."""
         return np.asarray(-np.log1p(-observed))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
-        """Return the standard deviation of D50 in one response: C50's times D50 (1 - D50) / DB."""
+        """Return the standard deviation of D50 in one response of decaying noise, (..., n_bands).
+
+        It is that of C50 in dB, times D50 (1 - D50) ln(10) / 10.
+        """
         with np.errstate(invalid="ignore"):
             late = np.exp(-6 * np.log(10) * C50.limit / times)
         return np.asarray(_C50.scatter(frequencies, times) * late * (1 - late) / DB)
@@ -779,8 +813,9 @@ class STI(Observable):
         """Return the STI over the octaves from 125 Hz to 8 kHz, (...); NaN if one octave is missing.
 
         It is the sum of alpha_k M_k minus that of beta_k sqrt(M_k M_k+1), where M_k is the modulation
-        transfer index of octave k (IEC 60268-16:2011, A.5.6). ``values`` (..., n_bands) are the
-        indices, ``frequencies`` (n_bands,) are in Hz.
+        transfer index of octave k, with the weights alpha and beta of male speech (IEC 60268-16:2011,
+        A.5.6 and Table A.3). ``values`` (..., n_bands) are the indices, ``frequencies`` (n_bands,) are
+        in Hz.
         """
         listed = np.asarray(frequencies, dtype=float).tolist()
         if not set(_OCTAVES) <= set(listed):
@@ -867,7 +902,7 @@ class Level(Observable):
             return np.asarray(10 * np.log10(400 * np.pi * energy.sum(-1)))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative DB / sum(E) of the level by a bin's energy."""
+        """Return the derivative of the level by the energy of each bin, 10 / (ln 10 sum(E)), in dB."""
         return np.broadcast_to(DB / energy.sum(-1, keepdims=True), energy.shape)
 
     def rate(self, observed: Array) -> Array:
@@ -936,7 +971,10 @@ MAX_BIN = 0.01
 
 
 def bins(bin_width: float) -> float:
-    """Return a simulator's bin width in s; DataError unless it is above 0 and at most `MAX_BIN`."""
+    """Return the width of a simulator's time bins in s, once it is checked.
+
+    Raises DataError unless it is above 0 and at most 0.01 s (`MAX_BIN`).
+    """
     if checks.positive("bin_width", bin_width, "s") > MAX_BIN:
         raise DataError(f"bin_width = {bin_width:g} s is more than {MAX_BIN:g} s, too wide for C50")
     return float(bin_width)
@@ -963,10 +1001,9 @@ def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
 def parameters(
     energy: Array, bin_width: float, names: Sequence[str] | None = None
 ) -> dict[str, Array]:
-    """Return room-acoustic parameters of energy decays by name, each (...), in the parameters' units.
+    """Return room-acoustic parameters of energy decays by key, each (...), in the parameters' units.
 
-    By default these are all parameters that need no calibrated source. A value is NaN where the decay
-    is too short for the parameter.
+    A value is NaN where the decay is too short for the parameter.
 
     Parameters
     ----------
@@ -974,8 +1011,9 @@ def parameters(
         Energy per bin, 0 or more; the first bin starts with the direct sound.
     bin_width : float
         Width of the time bins in s.
-    names : sequence of str
-        Keys of the parameters, as in `OBSERVABLES`.
+    names : sequence of str, optional
+        Keys of the parameters, such as "t20"; by default all parameters of `OBSERVABLES` that need no
+        calibrated source.
 
     Raises
     ------

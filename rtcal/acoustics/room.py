@@ -102,15 +102,16 @@ class Scene:
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names that the measurement's pairs have. Give both, or neither.
     directivity : mapping of str to Directivity or "unknown"
-        Directivity of each source; a source without one is taken as omnidirectional. Paths of balloons
-        are as that of the mesh.
+        Directivity of each source; a source without one is taken as omnidirectional, and one that is
+        "unknown" may be aimed anywhere. The path of `Directivity.file` is relative as that of the mesh.
     position_uncertainty : float
-        Root mean square error of the positions in m.
+        Root mean square error of the positions in m, above 0 and at most 1.
     leaks : bool
         Whether the mesh may have small holes, as `rtcal import --leaks` writes; see
         `rtcal.simulators.Polyhedron`.
     surfaces : mapping of str to sequence of str
-        Names of the mesh's faces that form each surface; else coplanar faces of one material form one.
+        Names of the mesh's faces that form each surface, by the name of the surface. By default
+        coplanar faces of one material form a surface.
 
     Raises
     ------
@@ -166,7 +167,7 @@ class Scene:
         return self != Scene()
 
     def within(self, folder: str | os.PathLike[str]) -> Scene:
-        """Return the scene of a file in this folder, with its relative paths joined to the folder."""
+        """Return the scene with its relative paths joined to the folder of the room's file."""
         return self._with_files(lambda path: str(Path(folder) / path))
 
     def seen_from(self, folder: str | os.PathLike[str]) -> Scene:
@@ -206,7 +207,10 @@ class Scene:
 
     @classmethod
     def of(cls, tables: Any) -> Scene:
-        """Return the scene from an object with the fields of `SceneTables`; DataError as `Scene`."""
+        """Return the scene from the tables of a room's file, which have the fields of `SceneTables`.
+
+        Raises DataError for the reasons of `Scene`.
+        """
         return cls(
             **msgspec.structs.asdict(tables.geometry),
             sources=tables.sources or {},
@@ -216,7 +220,7 @@ class Scene:
 
 
 def checked_uncertainty(position_uncertainty: float) -> float:
-    """Return the error of positions in m; DataError if it is no number or above `MOST_OFF`."""
+    """Return the error of positions in m; DataError unless it is above 0 m and at most 1 m."""
     uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
     if uncertainty > MOST_OFF:
         raise DataError(
@@ -268,8 +272,9 @@ class Directivity:
         Direction of the axis in the room's coordinates, of any length.
     gains : array (n_bands, n_theta, n_phi), optional
         Radiated energy in any unit at equal steps of two angles: theta from the axis, 0 to 180 degrees
-        with both ends, and phi about the axis, 0 to 360 degrees without the end. phi is 0 above the
-        axis and 90 degrees to its left. Each band is scaled to a mean of 1 over the sphere.
+        with both ends, and phi about the axis, 0 to 360 degrees without the end. For an observer who
+        looks along the axis, phi is 0 upwards (as ``up``) and 90 degrees to the left. Each band is
+        scaled to a mean of 1 over the sphere.
     file : path, optional
         File of the balloon (SOFA, or text of CLF), which `rtcal.io.balloon` reads when it is needed.
     up : (x, y, z)
@@ -339,7 +344,10 @@ class Directivity:
 
     @property
     def pattern(self) -> Array:
-        """Directivity index in dB, or gains of the balloon by direction, (n_numbers, n_bands)."""
+        """Directivity index in dB, (1, n_bands), or gains of the balloon, (n_directions, n_bands).
+
+        For a balloon that is still in its file, the array is (0, 1).
+        """
         if self.file is not None:
             return np.zeros((0, 1))
         if self.gains is None:
@@ -391,7 +399,10 @@ class Directivity:
         return np.asarray(np.moveaxis((1 - down) * first + down * second, 0, -1))
 
     def for_bands(self, n_bands: int, place: str) -> Directivity:
-        """Return the directivity with ``n_bands`` bands; DataError if it has another number of them."""
+        """Return the directivity with ``n_bands`` bands; an index that is one value holds in each.
+
+        Raises DataError, which names the ``place`` of the directivity, for another number of bands.
+        """
         number = self.n_bands
         if number != n_bands and (number != 1 or self.gains is not None):
             name = "index" if self.gains is None else "gains"
@@ -420,7 +431,11 @@ class Directivity:
 
 
 def direction(name: str, stated: Any) -> tuple[float, float, float]:
-    """Return a direction as three numbers; DataError for another number of values, or length 0."""
+    """Return the direction ``stated`` as three numbers (x, y, z).
+
+    Raises DataError, which has the ``name`` of the direction, for values that are not three finite
+    numbers, and for the length 0.
+    """
     values = checks.array(name, stated)
     if values.shape != (3,) or not np.isfinite(values).all() or not np.linalg.norm(values) > 0:
         raise DataError(f"{name} = {checks.shown(stated)} must be a direction (x, y, z)")
@@ -466,7 +481,11 @@ UNKNOWN: Literal["unknown"] = "unknown"
 def directivities(
     stated: Mapping[str, Any], sources: Mapping[str, Any]
 ) -> dict[str, StatedDirectivity]:
-    """Return the directivity of each source; DataError for an unknown source or a wrong value."""
+    """Return the ``stated`` directivities, by source, once they are checked.
+
+    Raises DataError for a source that is not among ``sources``, and for a value that is neither a
+    `Directivity` nor "unknown".
+    """
     made: dict[str, StatedDirectivity] = {}
     for name, of in checks.mapped("directivity", stated).items():
         place = f'directivity["{text_name("directivity", name)}"]'
@@ -482,7 +501,7 @@ def directivities(
 
 
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the directivity of each source as plain values of a room's file."""
+    """Return directivities, by source, as plain values of the table ``directivity`` of a file."""
     return {name: UNKNOWN if isinstance(of, str) else of.to_dict() for name, of in stated.items()}
 
 
@@ -512,7 +531,7 @@ class Material:
     source : str
         Source of the coefficients.
     area : float, optional
-        Area in m², for a material of a room without single surfaces.
+        Area in m². Give it only for a material that no `Surface` of the room has.
     area_sigma : float or str, optional
         Relative standard deviation of the area, or the standard deviation in m²: "1.5 m²".
     """
@@ -529,10 +548,10 @@ class Material:
 
 @dataclass(frozen=True)
 class Piece:
-    """Persons, seats or other objects of one kind that absorb, by their number.
+    """Persons, seats or other objects of one kind, with their number and the absorption area of one.
 
-    Pieces are no surface: the mean coefficient of a room is (sum alpha_i S_i + sum n_j a_j) / S, where
-    S is the area of the surfaces alone, n_j a number of pieces and a_j the absorption area of one
+    Such pieces are no surfaces: the mean coefficient of a room is (sum alpha_i S_i + sum n_j a_j) / S,
+    where S is the area of the surfaces alone, n_j a number of pieces and a_j the absorption area of one
     (Kuttruff, Room Acoustics, on absorption by people). Sabine's A is then that of EN 12354-6. A
     calibration changes the absorption area of one piece as it changes a coefficient.
 
@@ -541,9 +560,10 @@ class Piece:
     name : str
         Name of the objects.
     number : float
-        Number of the objects, above 0. In each band they absorb at most the area of the surfaces.
+        Number of the objects, above 0. A room refuses objects that absorb more, in any band, than its
+        surfaces would with alpha = 1.
     area_per_piece : sequence (n_bands,)
-        Equivalent absorption area of one object in m² (ISO 354), 0 to `LARGEST_PIECE`.
+        Equivalent absorption area of one object in m² (ISO 354), 0 to 10.
     sigma : float or sequence (n_bands,)
         Standard deviation of the absorption area of one object in m²; 0 for an exact value. It may be
         left out only if the room has a rule for it (table ``[prior]`` of its file).
@@ -569,14 +589,16 @@ class Piece:
     number_sigma: Number = 0.0
 
     def as_material(self, scattering: float | None = None) -> Material:
-        """Return the row of a room's materials that stands for these pieces."""
+        """Return the pieces as a `Material`: their number as its area, the area of one as its alpha."""
         row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
         return replace(row, scattering=scattering, area=self.number)
 
     def with_sigma(self, rule: SigmaRule | None, frequencies: Array) -> Piece:
-        """Return the pieces with their sigma, or else with that of a rule; DataError without either.
+        """Return the pieces with their own sigma or, if they have none, with the sigma of a rule.
 
-        ISO 12999-2's part of a rule is of coefficients, and does not count.
+        The rule gives in_situ_factor * max(relative * area_per_piece, minimum) in m². Its part of ISO
+        12999-2 is not used, because it is for coefficients. ``frequencies`` are not used. Raises
+        DataError without a sigma and a rule.
         """
         if self.sigma is not None:
             return self
@@ -660,7 +682,7 @@ def with_patches(
 
 
 def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, float]:
-    """Return the area in m² with which a material lies on each other one, by the name of the other.
+    """Return the area in m² of a material that lies on each other material, by the other's name.
 
     A surface that is named "floor: audience" lies on the surface "floor", as `with_patches` names it.
     The part of the material's area that lies on no other surface has the key None.
@@ -691,10 +713,13 @@ _SAME = 1e-4
 
 @dataclass(frozen=True)
 class CalibrationRecord:
-    """Record of the calibration of a room, or of the archive that its coefficients are from.
+    """Record in a room of how its coefficients were calibrated, or of the archive that they are from.
 
-    ``measured`` identifies, per band, each T that was used. A second calibration of the room to the
-    same T raises an error, because T would count twice.
+    ``method`` is the calibration method, "archive" for coefficients of an `rtcal.archive.Archive`, or
+    "changed" if coefficients were changed after their calibration. ``equation`` is the name of the
+    reverberation equation, ``solver`` that of the solver, and ``version`` rtcal's version. ``measured``
+    identifies, per band, each T that was used: a second calibration of the room to the same T raises an
+    error, because T would count twice.
     """
 
     method: str
@@ -1252,7 +1277,7 @@ class Room:
     def most_alpha(self) -> Array:
         """Upper bounds of the coefficients in a calibration, (n_materials, n_bands).
 
-        They are 1, and `LARGEST_PIECE` for pieces.
+        The bound is 1 for a surface, and 10 m² (`LARGEST_PIECE`) for the absorption area of one piece.
         """
         most = np.where(self.is_surface, 1.0, LARGEST_PIECE)
         return np.broadcast_to(most[:, np.newaxis], (self.n_materials, self.n_bands))
@@ -1432,7 +1457,11 @@ class Room:
 
     @classmethod
     def of_table(cls, file: RoomFile) -> Room:
-        """Return a room from the tables of a file; DataError as `from_surfaces`, and without areas."""
+        """Return a room from the tables of its file.
+
+        Raises DataError for the reasons of `from_surfaces`, and for a material that has neither an area
+        nor a surface.
+        """
         covered = {surface.material for surface in file.surface}
         refuse_repeats("material", file.material)
         for m in file.material:
@@ -1553,12 +1582,14 @@ def in_order(place: str, value: Any, materials: Sequence[str]) -> Any:
 
 
 def above_one_hint(alpha: float) -> str:
-    """Return advice on a coefficient above 1 that a laboratory may report; "" for other values.
+    """Return the end of an error message on a coefficient from 1 to 2; "" for any other value.
+
+    The text says that a laboratory may report such coefficients (ISO 354), and what to do.
 
     Examples
     --------
-    >>> above_one_hint(0.7), above_one_hint(-1.0)
-    ('', '')
+    >>> above_one_hint(1.2)[:36], above_one_hint(0.7)
+    ('. A laboratory may report more than ', '')
     """
     if not 1 < alpha <= LARGEST_LABORATORY_ALPHA:
         return ""
@@ -1570,9 +1601,10 @@ def above_one_hint(alpha: float) -> str:
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
-    """Return the text by which a room's record identifies measured data: their kind and values.
+    """Return a text that identifies measured data in a `CalibrationRecord`: their kind and values.
 
-    ``values`` are by band in Hz, or by pair and band; NaN is left out.
+    ``kind`` is the name of the quantity, such as "T" or "t20". ``values`` are by band in Hz, or by pair
+    and band; NaN is left out.
 
     Examples
     --------
@@ -1585,7 +1617,11 @@ def fingerprint(kind: str, values: Mapping[str, float]) -> str:
 def of_pairs(
     parameter: str, pairs: Sequence[tuple[str, str]], values: Array, centre_frequencies: Array
 ) -> str:
-    """Return the text by which a record identifies a parameter's values at pairs."""
+    """Return the `fingerprint` of a parameter's values at source-receiver pairs.
+
+    ``parameter`` is its key, such as "t20". ``values`` are (n_pairs, n_bands), NaN where missing, and
+    ``centre_frequencies`` (n_bands,) are in Hz.
+    """
     cells = {
         f"{'>'.join(quote(name, safe='') for name in pair)}@{f:g}": value
         for pair, row in zip(pairs, values.tolist(), strict=True)
@@ -1640,10 +1676,10 @@ def _shared(one: str, other: str) -> list[str]:
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
-    """Raise DataError if the room was already calibrated to some of the data that ``names`` identify.
+    """Raise DataError if the room was already calibrated to some of the same measured data.
 
-    Each name is one or more texts of `fingerprint`, separated by blanks. The error's message has the
-    values that would count twice.
+    ``names`` identify the data: each is a text that `fingerprint` returns, or several such texts
+    separated by blanks. The error's message has the values that would count twice.
     """
     before = [] if room.calibration is None else room.calibration.measured.split()
     anew = [one for name in names for one in name.split()]
@@ -1702,7 +1738,7 @@ class PriorTable(FileTable):
 
 
 class SurfaceTable(FileTable):
-    """Surface in a room's file. Without a name its number is its name."""
+    """Table ``surface`` of a room's file. The second surface is named "surface 2" if it has no name."""
 
     material: str
     area: Number

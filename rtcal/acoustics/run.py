@@ -196,7 +196,11 @@ _MOST_NAMED = 6
 
 @dataclass(frozen=True, eq=False)
 class Beside:
-    """Values that both a run and a measurement have (`Run.beside`), and what one of them lacks."""
+    """Values that both a run and a measurement have, and what one of them lacks (see `Run.beside`).
+
+    ``run`` and ``measured`` have the common values, ``lacking`` the parameters and ``missing`` the
+    source-receiver pairs that one side lacks. ``known`` shows which values each side has.
+    """
 
     run: Measurement
     measured: Measurement
@@ -209,7 +213,11 @@ class Beside:
     """Whether run and measurement each have a value, (n_pairs, n_bands), by compared parameter."""
 
     def left_out(self, parameters: Collection[str] = OBSERVABLES) -> list[str]:
-        """Return sentences on what is not compared of some parameters; [] without any."""
+        """Return sentences for the user on values that are not compared, because one side lacks them.
+
+        Only ``parameters`` (keys, such as "t20") are named, by default all. The list is empty if
+        nothing is left out.
+        """
         each, pairs = [], [" to ".join(pair) for pair in self.measured.pairs]
         f, by_pair = self.run.centre_frequencies, self.run.pairs == self.measured.pairs
         for why, said in _WHY.items():

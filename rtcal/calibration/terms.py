@@ -203,7 +203,7 @@ def product(factors: Any, x: Any) -> Any:
     return cp.vstack([cp.multiply(factors[i : i + 40], x[i : i + 40]) for i in blocks])
 
 
-def half_squares(expression: Any) -> Any:
+def _half_squares(expression: Any) -> Any:
     """Return half the sum of squares of a cvxpy expression."""
     return 0.5 * cp.sum_squares(expression)
 
@@ -349,7 +349,7 @@ class PriorDeviation(Term):
         x, of_common, n = m.x, 0.0, m.layout.n_alpha
         if self.common:
             together = cp.Variable()
-            of_common = half_squares(together)
+            of_common = _half_squares(together)
             shift = m.parameter(
                 n, lambda numbers: (numbers.common_shift * numbers.inverse_sigma)[:n]
             )
@@ -458,8 +458,8 @@ class HuberDeviation(Term):
         # A defined sum: cvxpy compiles an objective that is linear in n variables with memory for n
         # numbers per parameter.
         beyond = m.defined(cp.sum(above) + cp.sum(below))
-        near = half_squares(m.x - above + below) + self.threshold * beyond
-        return self.convex * half_squares(m.x) + (1 - self.convex) * near
+        near = _half_squares(m.x - above + below) + self.threshold * beyond
+        return self.convex * _half_squares(m.x) + (1 - self.convex) * near
 
     def convexity(self, numbers: Numbers) -> float:
         """Return e = 0.01, the lower limit of the term's curvature, for any ``numbers``."""
@@ -597,13 +597,13 @@ class SoftMatch(Term):
     def __call__(self, m: Model) -> Any:
         """½ |(S'alpha - b) / u_b|²; with ``room`` ½ |W (S'alpha - b)|², W'W = C⁻¹."""
         if not self.room:
-            return half_squares(m.misfit)
+            return _half_squares(m.misfit)
         n = m.layout.n_configurations * m.layout.n_bands
 
         def whitener(numbers: Numbers) -> Array:  # of the misfit, whose unit is u_b
             return numbers.match_whitener * np.nan_to_num(numbers.target_uncertainty).ravel()
 
-        return half_squares(m.parameter((n, n), whitener) @ cp.vec(m.misfit, order="C"))
+        return _half_squares(m.parameter((n, n), whitener) @ cp.vec(m.misfit, order="C"))
 
     def uncertainty(self, numbers: Numbers) -> Array:
         """Return the standard uncertainty in m² of the absorption area that T needs.
@@ -675,7 +675,7 @@ class LinearObservations(Term):
         """
         n = m.layout.n_alpha
         both = m.parameter((n, n + 1), lambda numbers: numbers.observed[self])
-        return half_squares(both[:, :n] @ m.x - both[:, n])
+        return _half_squares(both[:, :n] @ m.x - both[:, n])
 
 
 @dataclass(frozen=True)
@@ -716,7 +716,7 @@ class BandSmoothness(Term):
         steps = product(factor, cp.diff(m.deviation, axis=1))
         if self.material_correlation:
             steps = np.linalg.inv(_root_of_materials(self.material_correlation, m.layout)) @ steps
-        return half_squares(steps)
+        return _half_squares(steps)
 
 
 @dataclass(frozen=True)
@@ -761,7 +761,7 @@ class AddedAbsorption(Term):
 
     def __call__(self, m: Model) -> Any:
         """½ ((theta - mean) / sigma)²."""
-        return half_squares(m.effects[m.layout.further.index(self.name)])
+        return _half_squares(m.effects[m.layout.further.index(self.name)])
 
     def gains(self, n_configurations: int, n_bands: int) -> Array:
         """Return the gain in m², (n_configurations, n_bands); ModelError if its shape does not fit."""
