@@ -32,7 +32,6 @@ import io
 import itertools
 import json
 import multiprocessing
-import os
 import re
 import runpy
 import shlex
@@ -53,16 +52,16 @@ import numpy as np
 import rtcal as rt
 from benchmarks.studies.geometric_world import load as geometric
 from benchmarks.studies.means import judged
-from benchmarks.studies.means.judging import one
-from benchmarks.studies.means.real_cases import every_case
+from benchmarks.studies.means.judging import first_of, one
+from benchmarks.studies.means.real_cases import RealCase, every_case
 from benchmarks.studies.position_rooms import load as positions
+from benchmarks.studies.stored import plain
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.observables import MATCH
 from rtcal.calibration.methods import METHODS
 from rtcal.command.main import main as rtcal_command
 from rtcal.datasets import examples, halls
 from rtcal.finder import Case, control_rooms, verify
-from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import MOST
 from rtcal.finder.search import find
 from tests.test_modes import BOX, TRUTH, heard
@@ -79,20 +78,11 @@ SHORT_MEANS = {1: 6, 2: 6}
 """Rooms of each world in the short form, every kind once as far as they go."""
 SHORT_SEVERAL, SHORT_GEOMETRIC, SHORT_POSITIONS = 2, 2, 1
 TOLERANCE = {
-    "calibrate": 1e-9,
-    "export": 1e-9,
-    "archive": 1e-7,
-    "modes": 1e-7,
-    "predict": 1e-7,
-    "design": 1e-6,
-    "loop": 1e-7,
-    "find": 1e-6,
-    "example": 1e-6,
-    "means": 1e-6,
-    "several": 1e-6,
-    "pairs": 1e-6,
-    "positions": 1e-6,
-    "real": 1e-6,
+    **dict.fromkeys(("calibrate", "export"), 1e-9),
+    **dict.fromkeys(("archive", "modes", "predict", "loop"), 1e-7),
+    **dict.fromkeys(
+        ("design", "find", "example", "means", "several", "pairs", "positions", "real"), 1e-6
+    ),
 }
 """Of each kind: the difference, as a share of a table's largest number, from which on it has moved.
 
@@ -105,55 +95,36 @@ TEXTS = ("example", "export")
 ROUNDING = 1e-12
 """A difference below this is none: alpha is certified to it, and a gap that is closed is rounding."""
 SHIPPED_CASES = {
-    "case": lambda: rt.datasets.hidden_room()[0],
-    "closed": lambda: rt.datasets.hidden_room("closed")[0],
-    "named": lambda: rt.datasets.hidden_room("identified")[0],
-    "not told": lambda: rt.datasets.hidden_room("not_identified")[0],
+    "case": "case",
+    "closed": "closed",
+    "named": "identified",
+    "not told": "not_identified",
 }
+"""Rooms in which something is hidden, by the names of their figures."""
 HALLS = ("lecture_hall", "hard_hall", "theatre", "corridor")
 CRASHED = "crashed"
 SLOW_EXAMPLES = ("where",)
 """Two minutes per search: their commands are run once, as text, and not again as JSON."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """A room by name, and what makes its figures."""
-
-    name: str
-    figures: Callable[[], dict[str, Any]]
+Figures = dict[str, Any]
+Tasks = dict[str, Callable[[], Figures]]
+"""By the name of a room what makes its figures."""
 
 
-def plain(value: Any) -> Any:
-    """Return a value as JSON keeps it, every bit of a number included; NaN is None."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    if isinstance(value, (float, np.floating)):
-        return float(value) if np.isfinite(value) else None
-    return int(value) if isinstance(value, np.integer) else value
+def attributes(of: Any, *names: str, **renamed: str) -> Figures:
+    """Return the values of an object's attributes, with blanks in their names, or by other names."""
+    every = {**{name: name for name in names}, **renamed}
+    return {key.replace("_", " "): getattr(of, name) for key, name in every.items()}
 
 
-def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
+def of_finding(finding: Any, gaps: bool) -> Figures:
     """The figures of a finding on means; with ``gaps`` those of its verification."""
     size = finding.size
-    row = {
-        "verdict": finding.verdict,
-        "effect": finding.effect,
-        "family": finding.family,
-        "candidates": finding.names,
-        "probabilities": finding.probabilities,
-        "families": finding.families,
-        "evidence": finding.evidence,
-        "score": finding.score,
-        "threshold": finding.threshold,
-        "parameters": {} if finding.best is None else finding.best.parameters,
-        "size": None if size is None else [size.mean, size.low, size.high],
-        "residuals": finding.residuals,
-    }
+    names = ("verdict", "effect", "family", "probabilities", "families", "evidence", "score")
+    row = attributes(finding, *names, "threshold", "residuals", candidates="names")
+    row["parameters"] = {} if finding.best is None else finding.best.parameters
+    row["size"] = None if size is None else [size.mean, size.low, size.high]
     if gaps and finding.can_be_added:
         seen = verify(finding)
         row |= {
@@ -170,55 +141,36 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
     return row
 
 
-def means(plain_case: Any) -> dict[str, Any]:
+def means(plain_case: Any) -> Figures:
     """A room of a world: as it is stated, and cut down to one configuration."""
     case = Case.from_dict(plain_case)
     controls = control_rooms(case)
-    first = [ControlRooms(c.engine, c.errors[:, :1]) for c in controls]
     return {
-        "one": of_finding(find(one(case), controls=first), gaps=False),
+        "one": of_finding(find(one(case), controls=first_of(controls)), gaps=False),
         "all": of_finding(find(case, controls=controls), gaps=True),
     }
 
 
-def several(plain_case: Any) -> dict[str, Any]:
+def several(plain_case: Any) -> Figures:
     """A room of the first world, searched for several effects at once."""
     found = find(Case.from_dict(plain_case), most=MOST)
-    return {
-        "verdict": found.verdict,
-        "named": found.named,
-        "named families": found.named_families,
-        "named set": found.named_set,
-        "probabilities": found.probabilities,
-        "families": found.families,
-        "numbers": found.numbers,
-        "sets": {" + ".join(names): p for names, p in found.sets.items()},
-        "alpha": found.alpha,
-    }
+    names = ("verdict", "named", "named_families", "named_set", "probabilities", "families")
+    row = attributes(found, *names, "numbers", "alpha")
+    return row | {"sets": {" + ".join(names): p for names, p in found.sets.items()}}
 
 
-def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
+def on_pairs(index: int, statement: str, paths: int) -> Figures:
     """A geometric room, searched at every position; what was found is verified on other pairs."""
     room = geometric.load(0, index, statement)
     case = rt.finder.PositionsCase(
         simulator=room.simulator(n_paths=paths), measured=room.measured, match=MATCH
     )
     found = rt.find(case)
-    row = {
-        "verdict": found.verdict,
-        "effect": found.effect,
-        "family": found.family,
-        "surface": found.surface,
-        "surfaces": found.surfaces,
-        "probabilities": found.probabilities,
-        "families": found.families,
-        "score": found.score,
-        "threshold": found.threshold,
-        "candidates": {
-            f"{c.effect}, {c.place}": [c.probability, c.size, c.low, c.high, c.spectrum]
-            for c in found.candidates[:20]
-        },
-        "map": found.map,
+    names = ("verdict", "effect", "family", "surface", "surfaces", "probabilities", "families")
+    row = attributes(found, *names, "score", "threshold", "map")
+    row["candidates"] = {
+        f"{c.effect}, {c.place}": [c.probability, c.size, c.low, c.high, c.spectrum]
+        for c in found.candidates[:20]
     }
     if found.can_be_added:
         seen = rt.finder.verify(found)
@@ -226,29 +178,22 @@ def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
     return row
 
 
-def at_positions(index: int, prior: str, paths: int) -> dict[str, Any]:
+def at_positions(index: int, prior: str, paths: int) -> Figures:
     """A position room, calibrated to every position."""
     case = positions.load(0, index, prior)
     result = rt.calibrate_positions(
         case.simulator(n_paths=paths), case.room, case.measured, match=MATCH
     )
-    return {
-        "alpha": result.alpha,
-        "sigma": result.sigma,
-        "gap before": result.gap_before,
-        "gap after": result.gap_after,
-        "scattering": result.tracer.scattering,
-    }
+    row = attributes(result, "alpha", "sigma", "gap_before", "gap_after")
+    return row | {"scattering": result.tracer.scattering}
 
 
-def real(name: str, more: Path) -> dict[str, Any]:
+def real(each: RealCase) -> Figures:
     """A real room of which something is left out; {} where its data are not here."""
-    (each,) = (c for c in every_case() if c.name == name)
     try:
-        case = each.make(more)
+        return of_finding(find(each.make()), gaps=True)
     except FileNotFoundError:
         return {}
-    return of_finding(find(case), gaps=True)
 
 
 def invented(room: rt.Room, seed: int) -> rt.Measurement:
@@ -262,14 +207,19 @@ def invented(room: rt.Room, seed: int) -> rt.Measurement:
     )
 
 
+def shipped_case(name: str) -> Case:
+    """Return a room in which something is hidden."""
+    return rt.datasets.hidden_room(SHIPPED_CASES[name])[0]
+
+
 def shipped_rooms() -> dict[str, tuple[rt.Room, rt.Measurement]]:
     """Every room that ships, with what was measured in it, or an invented measurement."""
     rooms = {"BRAS CR2": rt.datasets.bras_cr2()}
     for seed, name in enumerate(HALLS):
         room = getattr(halls, name)().room
         rooms[name] = room, invented(room, seed)
-    for name, make in SHIPPED_CASES.items():
-        case = make()
+    for name in SHIPPED_CASES:
+        case = shipped_case(name)
         rooms[f"hidden, {name}"] = case.room, case.configurations[0].measured
     folder = examples.path("where_room")
     rooms["where"] = (
@@ -295,28 +245,18 @@ def shipped_rooms() -> dict[str, tuple[rt.Room, rt.Measurement]]:
     return rooms
 
 
-def of_calibration(result: Any) -> dict[str, Any]:
+def of_calibration(result: Any) -> Figures:
     """The figures of a calibration."""
-    likely = result.plausibility
+    names = ("alpha", "interval", "gap_before", "gap_after", "shift_in_sigmas", "effects")
+    likely = {"Q": "q", "p": "p_value", "p_together": "p_together", "z": "z"}
     return {
-        "alpha": result.alpha,
-        "sigma": result.posterior_sigma,
-        "interval": result.interval,
-        "gap before": result.gap_before,
-        "gap after": result.gap_after,
-        "shift in sigmas": result.shift_in_sigmas,
-        "Q": likely.q,
-        "degrees of freedom": likely.degrees_of_freedom,
-        "p": likely.p_value,
-        "p together": likely.p_together,
-        "z": likely.z,
-        "at a bound": result.active,
-        "effects": result.effects,
+        **attributes(result, *names, sigma="posterior_sigma", at_a_bound="active"),
+        **attributes(result.plausibility, "degrees_of_freedom", **likely),
         "air's share": result.air_share,
     }
 
 
-def calibrated_or_refused(*given: Any, **options: Any) -> dict[str, Any]:
+def calibrated_or_refused(*given: Any, **options: Any) -> Figures:
     """The figures of a calibration, or which error refuses it."""
     try:
         return of_calibration(rt.calibrate(*given, **options))
@@ -324,7 +264,7 @@ def calibrated_or_refused(*given: Any, **options: Any) -> dict[str, Any]:
         return {"refused": type(error).__name__}
 
 
-def calibrated(name: str) -> dict[str, Any]:
+def calibrated(name: str) -> Figures:
     """A shipped room, calibrated by every method with every equation that has a linear target."""
     room, measured = shipped_rooms()[name]
     return {
@@ -340,7 +280,7 @@ def calibrated(name: str) -> dict[str, Any]:
     }
 
 
-def several_states() -> dict[str, Any]:
+def several_states() -> Figures:
     """Three states of one room, calibrated together by every method; with bounds and limits."""
     room, measured = rt.datasets.bras_cr2()
     room = room.replace(surfaces=())
@@ -368,31 +308,23 @@ def several_states() -> dict[str, Any]:
     return out
 
 
-def found(name: str) -> dict[str, Any]:
+def found(name: str) -> Figures:
     """A hidden room that ships: searched, verified, and with what was found in its model."""
-    finding = find(SHIPPED_CASES[name]())
+    finding = find(shipped_case(name))
     row = of_finding(finding, gaps=True)
     if finding.can_be_added:
         row["applied"] = finding.apply().case.to_dict()
     return row
 
 
-def found_between_states(panels: float) -> dict[str, Any]:
+def found_between_states(panels: float) -> Figures:
     """Two states of a room, with so many m² of panels in the second."""
     before = measured_state(times_of_state(), 1)
     after = measured_state(times_of_state(panels), 2)
     seen = rt.find(room_of_states(), after, before=before)
-    row = {
-        "verdict": seen.verdict,
-        "family": seen.family,
-        "families": seen.families,
-        "score": seen.score,
-        "threshold": seen.threshold,
-        "candidates": {c.effect: [c.probability, c.size] for c in seen.candidates},
-        "change": seen.change,
-        "shift": seen.shift,
-        "climate": seen.climate,
-    }
+    names = ("verdict", "family", "families", "score", "threshold", "change", "shift", "climate")
+    row = attributes(seen, *names)
+    row["candidates"] = {c.effect: [c.probability, c.size] for c in seen.candidates}
     if seen.can_be_added:
         row["changed alpha"] = seen.apply().room.alpha
     return row
@@ -401,7 +333,7 @@ def found_between_states(panels: float) -> dict[str, Any]:
 PANEL = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
 
 
-def predicted() -> dict[str, Any]:
+def predicted() -> Figures:
     """BRAS CR2, predicted after each kind of change, by every method and from what was stated."""
     p, (room, measured) = rt.prediction, rt.datasets.bras_cr2()
     changes = {
@@ -420,12 +352,8 @@ def predicted() -> dict[str, Any]:
         {**known, "stated": room}.items(), changes.items()
     ):
         after = p.predict(of, change)
-        out[f"{how}, {what}"] = {
-            "T": after.mean,
-            "interval": after.interval,
-            "before": after.time_before,
-            "u before": after.uncertainty_before,
-        }
+        names = {"T": "mean", "before": "time_before", "u_before": "uncertainty_before"}
+        out[f"{how}, {what}"] = attributes(after, "interval", **names)
     ends = [0.5] * 6, [1.0] * 6
     variants = [p.Variant(n, c) for n, c in changes.items() if n in ("cover", "add")]
     side = p.predict_variants(known["mle"], variants, target=p.Target(*ends))
@@ -433,7 +361,7 @@ def predicted() -> dict[str, Any]:
     return out
 
 
-def designed(method: str) -> dict[str, Any]:
+def designed(method: str) -> Figures:
     """BRAS CR2, the cheapest treatments for a target, with two treatments."""
     p, (room, measured) = rt.prediction, rt.datasets.bras_cr2()
     trap = rt.Material("trap", [0.6, 0.5, 0.3, 0.2, 0.2, 0.2], [0.1] * 6)
@@ -445,17 +373,11 @@ def designed(method: str) -> dict[str, Any]:
         ],
         p.Target([np.nan] * 6, [1.0, 0.9, 0.8, 0.8, 0.8, 0.8]),
     )
-    return {
-        "areas": design.areas,
-        "cost": design.cost,
-        "probability": design.probability,
-        "together": design.probability_together,
-        "frontier": design.frontier,
-        "T": design.prediction.mean,
-    }
+    row = attributes(design, "areas", "cost", "probability", "frontier")
+    return {**row, "together": design.probability_together, "T": design.prediction.mean}
 
 
-def looped(rule: str) -> dict[str, Any]:
+def looped(rule: str) -> Figures:
     """The lecture hall, calibrated to a program that is off, and to rtcal's tracer."""
     hall = halls.lecture_hall()
     measured = invented(hall.room, 0)
@@ -479,30 +401,18 @@ def looped(rule: str) -> dict[str, Any]:
         ("tracer", tracer, {"max_simulations": 5}),
     ):
         result = rt.calibrate_simulator(simulator, hall.room, measured, rule, **more)
-        out[name] = {
-            "alpha": result.alpha,
-            "status": result.status,
-            "gap": result.gap,
-            "final": result.final.reverberation_time,
-        }
+        out[name] = attributes(result, "alpha", "status", "gap")
+        out[name]["final"] = result.final.reverberation_time
     return out
 
 
-def of_modes(with_times: bool) -> dict[str, Any]:
+def of_modes(with_times: bool) -> Figures:
     """A box with its modes' decays, without or with T; and the closed loop that takes them along."""
     t = times_of_box(TRUTH)
     result = rt.calibrate_modes(BOX_ROOM, heard(TRUTH), t if with_times else None, geometry=BOX)
-    out = {
-        "alpha": result.alpha,
-        "sigma": result.sigma,
-        "interval": result.interval,
-        "before": result.before,
-        "after": result.after,
-        "used": result.used,
-        "carried": result.carried,
-        "Q": result.plausibility.q,
-        "p": result.plausibility.p_value,
-    }
+    names = ("alpha", "sigma", "interval", "before", "after", "used", "carried")
+    out = attributes(result, *names)
+    out |= attributes(result.plausibility, Q="q", p="p_value")
     if not with_times:
         program = rt.simulators.External(
             room=BOX_ROOM,
@@ -514,7 +424,7 @@ def of_modes(with_times: bool) -> dict[str, Any]:
     return out
 
 
-def archived() -> dict[str, Any]:
+def archived() -> Figures:
     """Four rooms of the materials of BRAS CR2, learned from; and applied to a fifth."""
     room, measured = rt.datasets.bras_cr2()
     room = room.replace(surfaces=())
@@ -528,20 +438,16 @@ def archived() -> dict[str, Any]:
     archive = rt.learn(rooms)
     known = archive.apply(room.replace(name="next"))
     then = rt.calibrate(known, measured, method="soft")
+    names = ("alpha", "sigma", "mean_sigma", "off", "seen")
     return {
-        "alpha": archive.alpha,
-        "sigma": archive.sigma,
-        "mean sigma": archive.mean_sigma,
-        "off": archive.off,
+        **attributes(archive, *names, **{"room's_sigma": "room_sigma"}),
         "together": [archive.together, archive.together_sigma],
-        "seen": archive.seen,
-        "room's sigma": archive.room_sigma,
         "record": numbers_of(archive.to_dict()),
         "next": of_calibration(then),
     }
 
 
-def exported(name: str) -> dict[str, Any]:
+def exported(name: str) -> Figures:
     """A shipped room, calibrated, as its own file and as every list of materials; read back."""
     room, measured = shipped_rooms()[name]
     room = rt.calibrate(room, measured, method="soft").room
@@ -604,17 +510,6 @@ def numbers_of_file(path: Path) -> list[float] | None:
     return numbers_in(html.unescape(_UNSEEN.sub(" ", text)) if path.suffix == ".html" else text)
 
 
-@contextlib.contextmanager
-def in_folder(path: str) -> Iterator[None]:
-    """Run what is inside in a folder."""
-    before = Path.cwd()
-    os.chdir(path)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
 def printed(command: str, *more: str) -> str:
     """Run a command of an example in this process and folder; return its standard output.
 
@@ -636,121 +531,118 @@ def printed(command: str, *more: str) -> str:
     return out.getvalue()
 
 
-def example(name: str) -> dict[str, Any]:
-    """The numbers of what an example's commands print and write."""
-    project = examples.example(name)
-    # A search that is written to a folder is the one that was printed.
-    commands = [
-        c for c in project.commands if not any(o.startswith(f"{c} --out") for o in project.commands)
-    ]
-    ran: dict[str, Any] = {}
-    for form, more in (("text", ()), ("JSON", ("--json",))):
-        if more and name in SLOW_EXAMPLES:
+def run_example(name: str, form: str) -> Iterator[tuple[str, list[float]]]:
+    """Yield the numbers of what an example's commands print as text or as JSON; of text also of files.
+
+    A search that is written to a folder is the one that was printed.
+    """
+    project, as_json = examples.example(name), form == "JSON"
+    for file, content in project.files.items():
+        Path(file).write_bytes(content)
+    for command in project.commands:
+        if any(other.startswith(f"{command} --out") for other in project.commands):
             continue
-        with tempfile.TemporaryDirectory() as folder, in_folder(folder):
-            for file, content in project.files.items():
-                Path(file).write_bytes(content)
-            for command in commands:
-                # A script has no --json, and a page's record is how many bytes it has.
-                if more and not command.startswith("rtcal "):
-                    printed(command)
-                    continue
-                if more and command.startswith("rtcal report "):
-                    continue
-                said = printed(command, *more)
-                ran[f"{command}, {form}"] = (
-                    numbers_of(json.loads(said)) if more else numbers_in(said)
-                )
-            if not more:
-                for path in sorted(Path().rglob("*")):
-                    if path.is_file() and path.read_bytes() != project.files.get(str(path)):
-                        figures = numbers_of_file(path)
-                        if figures is not None:
-                            ran[str(path)] = figures
+        # A script has no --json, and a page's record is how many bytes it has.
+        if as_json and not command.startswith("rtcal "):
+            printed(command)
+        elif as_json and not command.startswith("rtcal report "):
+            yield f"{command}, JSON", numbers_of(json.loads(printed(command, "--json")))
+        elif not as_json:
+            yield f"{command}, text", numbers_in(printed(command))
+    for path in () if as_json else sorted(Path().rglob("*")):
+        if path.is_file() and path.read_bytes() != project.files.get(str(path)):
+            figures = numbers_of_file(path)
+            if figures is not None:
+                yield str(path), figures
+
+
+def example(name: str) -> Figures:
+    """The numbers of what an example's commands print and write."""
+    ran: Figures = {}
+    for form in ("text",) if name in SLOW_EXAMPLES else ("text", "JSON"):
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            ran |= run_example(name, form)
     return ran
 
 
-def of_worlds(every: bool) -> list[Task]:
+def of_worlds(every: bool) -> Tasks:
     """Rooms of both worlds: in the short form one of each kind, as many as are affordable."""
-    tasks = []
+    tasks: Tasks = {}
     for world, number in SHORT_MEANS.items():
         cases, truths = (judged.read(world, 0, part) for part in ("case", "truth"))
         kinds: dict[str, int] = {}
         for i, truth in enumerate(truths):
             kinds.setdefault(str(truth["kind"] if world == 2 else truth["seed"][1]), i)
         rooms = range(len(cases)) if every else sorted(kinds.values())[:number]
-        tasks += [Task(f"means: world {world}, room {i}", partial(means, cases[i])) for i in rooms]
+        tasks |= {f"means: world {world}, room {i}": partial(means, cases[i]) for i in rooms}
         if world == 1:
             double = [i for i, truth in enumerate(truths) if len(truth["effects"]) == 2]
             chosen = double if every else double[:SHORT_SEVERAL]
-            tasks += [
-                Task(f"several: world 1, room {i}", partial(several, cases[i])) for i in chosen
-            ]
+            tasks |= {f"several: world 1, room {i}": partial(several, cases[i]) for i in chosen}
     return tasks
 
 
-def every_task(every: bool, more: Path) -> list[Task]:
+def every_task(every: bool) -> Tasks:
     """All rooms with what makes their figures; those of development only."""
     paths = 3 * PATHS if every else PATHS
-    rooms = list(geometric.stored(0, "rooms"))
-    tasks = of_worlds(every)
-    tasks += [
-        Task(f"pairs: room {i}, {statement}", partial(on_pairs, i, statement, paths))
-        for i in (rooms if every else rooms[:SHORT_GEOMETRIC])
-        for statement in (
-            (geometric.IN_SITU, geometric.HANDBOOK) if every else (geometric.IN_SITU,)
-        )
-    ]
-    rooms = list(positions.stored(0, "rooms"))
-    tasks += [
-        Task(f"positions: room {i}, {prior}", partial(at_positions, i, prior, paths))
-        for i in (rooms if every else rooms[:SHORT_POSITIONS])
-        for prior in ("wide", "narrow")
-    ]
+    geometric_rooms = list(geometric.stored(0, "rooms"))[: None if every else SHORT_GEOMETRIC]
+    position_rooms = list(positions.stored(0, "rooms"))[: None if every else SHORT_POSITIONS]
+    statements = (geometric.IN_SITU, geometric.HANDBOOK)[: None if every else 1]
     cases = [c for c in every_case() if c.part == "development"]
-    tasks += [
-        Task(f"real: {c.name}", partial(real, c.name, more))
-        for c in (cases if every else cases[:: max(1, len(cases) // 4)])
-    ]
     names = list(shipped_rooms())
-    tasks += [Task(f"calibrate: {name}", partial(calibrated, name)) for name in names]
-    tasks += [Task("calibrate: several states, composed", several_states)]
-    tasks += [Task(f"export: {name}", partial(exported, name)) for name in names]
-    tasks += [Task(f"find: {name}", partial(found, name)) for name in SHIPPED_CASES]
-    tasks += [
-        Task(f"find: two states, {area:g} m²", partial(found_between_states, area))
-        for area in (0.0, 15.0)
-    ]
-    tasks += [Task("predict: BRAS CR2", predicted)]
-    tasks += [Task(f"design: BRAS CR2, {m}", partial(designed, m)) for m in ("mle", "soft")]
-    tasks += [Task(f"loop: {rule}", partial(looped, rule)) for rule in ("secant", "safeguarded")]
-    tasks += [Task("modes: alone", partial(of_modes, False))]
-    tasks += [Task("modes: with T", partial(of_modes, True))]
-    tasks += [Task("archive: four rooms", archived)]
-    tasks += [Task(f"example: {name}", partial(example, name)) for name in examples.NAMES]
-    return tasks
+    return {
+        **of_worlds(every),
+        **{
+            f"pairs: room {i}, {statement}": partial(on_pairs, i, statement, paths)
+            for i, statement in itertools.product(geometric_rooms, statements)
+        },
+        **{
+            f"positions: room {i}, {prior}": partial(at_positions, i, prior, paths)
+            for i, prior in itertools.product(position_rooms, positions.PRIORS)
+        },
+        **{
+            f"real: {c.name}": partial(real, c)
+            for c in (cases if every else cases[:: max(1, len(cases) // 4)])
+        },
+        **{f"calibrate: {name}": partial(calibrated, name) for name in names},
+        "calibrate: several states, composed": several_states,
+        **{f"export: {name}": partial(exported, name) for name in names},
+        **{f"find: {name}": partial(found, name) for name in SHIPPED_CASES},
+        **{
+            f"find: two states, {area:g} m²": partial(found_between_states, area)
+            for area in (0.0, 15.0)
+        },
+        "predict: BRAS CR2": predicted,
+        **{f"design: BRAS CR2, {m}": partial(designed, m) for m in ("mle", "soft")},
+        **{f"loop: {rule}": partial(looped, rule) for rule in ("secant", "safeguarded")},
+        "modes: alone": partial(of_modes, False),
+        "modes: with T": partial(of_modes, True),
+        "archive: four rooms": archived,
+        **{f"example: {name}": partial(example, name) for name in examples.NAMES},
+    }
 
 
-def made(task: Task) -> tuple[str, dict[str, Any], float]:
+def made(task: tuple[str, Callable[[], Figures]]) -> tuple[str, Figures, float]:
     """Return a task's name, its figures and the processor time that they took, in s.
 
     An error is a figure: one task that no longer runs does not hide what moved in the others.
     """
     warnings.simplefilter("ignore")
+    name, make = task
     begin = time.process_time()
     try:
-        figures = task.figures()
+        figures = make()
     except Exception as error:
         figures = {CRASHED: "".join(traceback.format_exception(error)[-3:])}
     # As they are read back, so that a fresh figure and a stored one are alike.
-    return task.name, json.loads(json.dumps(plain(figures))), time.process_time() - begin
+    return name, json.loads(json.dumps(plain(figures))), time.process_time() - begin
 
 
-def run(tasks: list[Task], jobs: int) -> Iterator[tuple[str, dict[str, Any]]]:
+def run(tasks: Tasks, jobs: int) -> Iterator[tuple[str, Figures]]:
     """Yield name and figures of the tasks whose data are here."""
     spent = 0.0
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
-        for n, (name, figures, seconds) in enumerate(pool.imap_unordered(made, tasks), 1):
+        for n, (name, figures, seconds) in enumerate(pool.imap_unordered(made, tasks.items()), 1):
             spent += seconds
             print(f"{n}/{len(tasks)}  {seconds:6.1f} s  {name}", file=sys.stderr, flush=True)
             if figures:
@@ -790,10 +682,10 @@ class Differences:
         Tables of numbers of one shape get one line: how many moved, and by how much at most. Lists of
         numbers of unequal length, of a text that has one more or less, are compared as sets.
         """
+        old, new = _numbers(before), _numbers(now)
         if isinstance(before, dict) and isinstance(now, dict):
-            rows = _rows_of_numbers(before, now)
-            if rows is not None:
-                self._tables(*rows, tolerance, place)
+            if old is not None and new is not None and before.keys() == now.keys():
+                self._tables(old, new, tolerance, place)
                 return
             for key in dict.fromkeys((*before, *now)):
                 at = f"{place}, {key}" if place else key
@@ -801,9 +693,7 @@ class Differences:
                     self.lines.append(f"{at}: {'new' if key in now else 'gone'}")
                 else:
                     self.add(before[key], now[key], tolerance, at)
-            return
-        old, new = _numbers(before), _numbers(now)
-        if old is None or new is None:
+        elif old is None or new is None:
             if json.dumps(before) != json.dumps(now):
                 self.lines.append(f"{place}: {before} -> {now}")
         elif old.shape == new.shape:
@@ -835,21 +725,13 @@ class Differences:
             self.lines.append(f"{place}: {far.sum()} of {old.size} numbers, by {most:.2g} at most")
 
 
-def _rows_of_numbers(before: Any, now: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return two mappings of the same names to one number each as arrays, else None."""
-    if before.keys() != now.keys() or len(before) < 2:
-        return None
-    rows = [[each[key] for key in before] for each in (before, now)]
-    if any(
-        isinstance(n, bool) or not isinstance(n, (int, float, type(None))) for r in rows for n in r
-    ):
-        return None
-    old, new = (np.array(row, dtype=float) for row in rows)
-    return old, new
-
-
 def _numbers(value: Any) -> np.ndarray | None:
-    """Return a value as an array of numbers, None where it is none."""
+    """Return a value as an array of numbers, None where it is none; of two and more by name as well."""
+    if isinstance(value, dict):
+        kinds = {type(n) for n in value.values()}
+        if len(value) < 2 or kinds - {int, float, type(None)}:
+            return None
+        return np.array([*value.values()], dtype=float)
     if isinstance(value, (bool, str)) or value is None:
         return None
     try:
@@ -891,15 +773,12 @@ def compare(stored: Mapping[str, Any], now: Mapping[str, Any]) -> int:
             found.lines.append("not stored")
         changed += bool(found.lines)
         small.setdefault(kind, []).append(found)
-        for line in found.lines:
-            print(f"{name}: {line}")
+        print("".join(f"{name}: {line}\n" for line in found.lines), end="")
     for kind, each in small.items():
-        within = sum(d.within for d in each)
-        if within:
-            largest = max(d.largest for d in each)
+        if within := sum(d.within for d in each):
             print(
                 f"{kind}: {within} numbers differ within the tolerance of {TOLERANCE[kind]:g}, "
-                f"by {largest:.2g} at most"
+                f"by {max(d.largest for d in each):.2g} at most"
             )
     print(f"{changed} of {len(now)} rooms changed")
     return changed
@@ -913,9 +792,9 @@ def main() -> None:
         "--only", default="", help=f"a kind ({', '.join(TOLERANCE)}), or how names begin"
     )
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--more", type=Path, default=Path("."), help="folder of further real data")
     given = parser.parse_args()
-    tasks = [t for t in every_task(given.all, given.more) if t.name.startswith(given.only)]
+    every = every_task(given.all)
+    tasks = {name: task for name, task in every.items() if name.startswith(given.only)}
     if not tasks:
         parser.error(f"--only {given.only}: no name begins so")
     now = {}

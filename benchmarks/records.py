@@ -31,7 +31,7 @@ from benchmarks.studies.pairs.where_figures import (
     is_first,
     right_families,
 )
-from benchmarks.studies.runs import world as runs
+from benchmarks.studies.runs import counts as runs
 from rtcal.finder import records
 
 ROOT = Path(__file__).parents[1]

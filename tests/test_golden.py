@@ -52,7 +52,7 @@ def test_rounding_is_counted_and_has_not_moved() -> None:
 
 def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(golden, "STORED", tmp_path / "golden.json.gz")
-    task = next(t for t in golden.every_task(False, tmp_path) if t.name.startswith("modes: "))
+    task = next(t for t in golden.every_task(False).items() if t[0].startswith("modes: "))
     name, figures, _ = golden.made(task)
     golden.write({name: figures})
     once = golden.STORED.read_bytes()
@@ -61,16 +61,16 @@ def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.Mo
     assert golden.STORED.read_bytes() == once
 
 
-def test_every_task_has_a_kind_and_is_stored(tmp_path: Path) -> None:
-    names = {t.name for t in golden.every_task(False, tmp_path)}
+def test_every_task_has_a_kind_and_is_stored() -> None:
+    names = {*golden.every_task(False)}
     assert {golden.kind_of(n) for n in names} == set(golden.TOLERANCE)
     # Real rooms have their data beside the repository.
     assert {n for n in names if golden.kind_of(n) != "real"} <= set(golden.read())
 
 
-def test_only_rooms_of_development_are_read(tmp_path: Path) -> None:
+def test_only_rooms_of_development_are_read() -> None:
     real = {c.name for c in golden.every_case() if c.part == "development"}
-    named = {t.name.removeprefix("real: ") for t in golden.every_task(True, tmp_path)}
+    named = {name.removeprefix("real: ") for name in golden.every_task(True)}
     judged = {c.name for c in golden.every_case()} - real
     assert real <= named
     assert not judged & named

@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import csv
 import datetime
-import functools
 import gzip
 import importlib.metadata
 import io
 import json
 import os
 import platform
+import re
 import time
+import timeit
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import qpsolvers
 from qpbenchmark.solver_settings import SolverSettings
@@ -121,13 +124,11 @@ def by_exact(case: Case, settings: SolverSettings, setting: str) -> Found:
 
 def available() -> dict[str, Route]:
     """The routes that run here, by name; quadprog (GPL) only where the user has it."""
-    part = functools.partial
-    found: dict[str, Route] = {
-        f"qpsolvers:{n}": part(by_qpsolvers, n) for n in NAMES if n in qpsolvers.available_solvers
-    }
+    here = [n for n in NAMES if n in qpsolvers.available_solvers]
+    found: dict[str, Route] = {f"qpsolvers:{n}": partial(by_qpsolvers, n) for n in here}
     for n in ("clarabel", "osqp"):
-        found[f"rtcal:{n} raw"] = part(by_rtcal, n, False)
-        found[f"rtcal:{n}"] = part(by_rtcal, n, True)
+        found[f"rtcal:{n} raw"] = partial(by_rtcal, n, False)
+        found[f"rtcal:{n}"] = partial(by_rtcal, n, True)
     found["rtcal.exact"] = by_exact
     return found
 
@@ -141,8 +142,7 @@ def fits(route: str, case: Case) -> bool:
     return len(case.q) <= DENSE_LIMIT or not dense
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(msgspec.Struct, frozen=True):
     """One solve. NaN where there is nothing to compute; ``within`` bounds the truth's own error."""
 
     problem: str
@@ -160,6 +160,11 @@ class Row:
     passes: bool
     microseconds: float
     iterations: int
+
+    @property
+    def kind(self) -> tuple[str, str, str, str]:
+        """Its family and kind of problem, and how it was solved."""
+        return self.family, self.problem.split()[0], self.route, self.settings
 
     @property
     def failed(self) -> bool:
@@ -194,21 +199,21 @@ def judge(case: Case, route: str, setting: str, found: Found, tolerance: Toleran
             primal, dual, gap = residuals(case, found)
     passes = primal <= tolerance.primal and dual <= tolerance.dual and gap <= tolerance.gap
     return Row(
-        case.name,
-        case.family,
-        case.unknowns,
-        case.alpha is not None,
-        route,
-        setting,
-        found.status,
-        error,
-        case.alpha_within,
-        primal,
-        dual,
-        gap,
-        bool(passes),
-        1e6 * found.seconds,
-        found.iterations,
+        problem=case.name,
+        family=case.family,
+        unknowns=case.unknowns,
+        feasible=case.alpha is not None,
+        route=route,
+        settings=setting,
+        status=found.status,
+        error=error,
+        within=case.alpha_within,
+        primal=primal,
+        dual=dual,
+        gap=gap,
+        passes=bool(passes),
+        microseconds=1e6 * found.seconds,
+        iterations=found.iterations,
     )
 
 
@@ -233,15 +238,10 @@ def timed(route: Route, case: Case, settings: SolverSettings, setting: str) -> F
 
     The first call pays for caches, and other work on the machine for some.
     """
-    best = route(case, settings, setting)
-    spent = best.seconds
-    for _ in range(2):
-        if spent > ENOUGH:
-            break
-        again = route(case, settings, setting)
-        spent += again.seconds
-        best = again if again.seconds < best.seconds else best
-    return best
+    tries: list[Found] = []
+    while len(tries) < 3 and sum(found.seconds for found in tries) <= ENOUGH:
+        tries.append(route(case, settings, setting))
+    return min(tries, key=lambda found: found.seconds)
 
 
 def iterations() -> list[dict[str, Any]]:
@@ -266,59 +266,30 @@ def throughput(count: int = 100_000) -> list[tuple[int, float]]:
         areas = rng.uniform(5, 60, n)
         target = np.clip(mu + sigma * rng.standard_normal((count, n)), 0.01, 0.99) @ areas
         rt.exact.solve(mu, sigma, areas, target[:10])  # which compiles it
-        took = []
-        for _ in range(5):
-            began = time.perf_counter()
-            rt.exact.solve(mu, sigma, areas, target)
-            took.append(time.perf_counter() - began)
+        took = timeit.repeat(partial(rt.exact.solve, mu, sigma, areas, target), number=1)
         rows.append((n, 1e6 * min(took) / count))
     return rows
 
 
-COLUMNS = [f.name for f in fields(Row)]
 PACKAGES = (
-    "rtcal",
-    "numpy",
-    "scipy",
-    "cvxpy",
-    "clarabel",
-    "osqp",
-    "qpsolvers",
-    "qpbenchmark",
-    "highspy",
-    "daqp",
-    "piqp",
-    "proxsuite",
-    "scs",
-    "quadprog",
-    "numba",
-)
+    "rtcal", "numpy", "scipy", "cvxpy", "clarabel", "osqp", "qpsolvers", "qpbenchmark", "highspy",
+    "daqp", "piqp", "proxsuite", "scs", "quadprog", "numba",
+)  # fmt: skip
 TOO_SLOW = 1.0  # s: a route that took longer is not given larger problems of that family
 
 
 def machine() -> dict[str, object]:
     """Return what a time depends on: processor, cores, versions, date; no names."""
-    model = platform.machine()
     info = Path("/proc/cpuinfo")
-    if info.exists():
-        names = [
-            x.split(":", 1)[1].strip()
-            for x in info.read_text().splitlines()
-            if x.startswith("model name")
-        ]
-        model = names[0] if names else model
-    versions = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            versions[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    model = re.search(r"model name\s*: (.*)", info.read_text() if info.exists() else "")
+    there = {d.name.lower() for d in importlib.metadata.distributions()}
+    versions = {n: importlib.metadata.version(n) for n in PACKAGES if n in there}
     return {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "processor": model,
+        "processor": model[1] if model else platform.machine(),
         "cores": os.cpu_count(),
         "system": platform.system(),
-        "versions": versions,
+        "versions": {"python": platform.python_version(), **versions},
     }
 
 
@@ -329,16 +300,19 @@ def read(path: Path) -> list[Row]:
     raw = path.read_bytes()
     text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode()
     whole = text[: text.rfind("\n") + 1]
-    return [_row(given) for given in csv.DictReader(io.StringIO(whole))]
+    return [msgspec.convert(r, Row, strict=False) for r in csv.DictReader(io.StringIO(whole))]
 
 
-def _row(given: dict[str, str]) -> Row:
-    kinds = {"int": int, "float": float, "str": str, "bool": lambda v: v == "True"}
-    return Row(**{f.name: kinds[str(f.type)](given[f.name]) for f in fields(Row)})  # type: ignore[arg-type]
-
-
-def _line(row: Row) -> list[object]:
-    return [f"{v:.3g}" if isinstance(v, float) else v for v in asdict(row).values()]
+def written(rows: Iterable[Row], *, head: bool = True) -> str:
+    """Return rows as lines of a table, below its header."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    if head:
+        writer.writerow(Row.__struct_fields__)
+    for row in rows:
+        values = msgspec.structs.astuple(row)
+        writer.writerow([f"{v:.3g}" if isinstance(v, float) else v for v in values])
+    return out.getvalue()
 
 
 def run(folder: Path, size: str, routes: dict[str, Route] | None = None) -> list[Row]:
@@ -347,41 +321,27 @@ def run(folder: Path, size: str, routes: dict[str, Route] | None = None) -> list
     path = folder / f"{size}.csv"
     rows = read(path)
     done = {(r.problem, r.route, r.settings) for r in rows}
-    slow = {_kind(r) for r in rows if r.microseconds > 1e6 * TOO_SLOW}
+    slow = {r.kind for r in rows if r.microseconds > 1e6 * TOO_SLOW}
     # Rewritten whole first: a line that was cut off goes.
-    write_text(path, _text(rows))
+    write_text(path, written(rows))
     test_set = Rooms(size)
     chosen = available() if routes is None else routes
     with path.open("a", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
         for case in test_set:
             for name, route in chosen.items():
-                if not fits(name, case):
-                    continue
                 for setting in ("default",) if name == "rtcal.exact" else ("default", *EPS):
-                    key = (case.family, case.name.split()[0], name, setting)
-                    if (case.name, name, setting) in done or key in slow:
+                    kind = (case.family, case.name.split()[0], name, setting)
+                    known = (case.name, name, setting) in done or kind in slow
+                    if known or not fits(name, case):
                         continue
                     found = timed(route, case, test_set.solver_settings[setting], setting)
                     row = judge(case, name, setting, found, test_set.tolerances[setting])
                     if found.seconds > TOO_SLOW:
-                        slow.add(key)
-                    writer.writerow(_line(row))
+                        slow.add(kind)
+                    file.write(written([row], head=False))
                     rows.append(row)
             file.flush()
     return rows
-
-
-def _kind(row: Row) -> tuple[str, str, str, str]:
-    return row.family, row.problem.split()[0], row.route, row.settings
-
-
-def _text(rows: Iterable[Row]) -> str:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(_line(row) for row in rows)
-    return out.getvalue()
 
 
 def finish(folder: Path, size: str) -> None:
@@ -389,4 +349,4 @@ def finish(folder: Path, size: str) -> None:
     also = {"run": size, **machine(), "iterations": iterations(), "throughput": throughput()}
     write_text(folder / f"{size}.json", json.dumps(also) + "\n")
     rows = read(folder / f"{size}.csv")
-    write_bytes(folder / f"{size}.csv.gz", gzip.compress(_text(rows).encode(), mtime=0))
+    write_bytes(folder / f"{size}.csv.gz", gzip.compress(written(rows).encode(), mtime=0))

@@ -14,34 +14,29 @@ coefficients is kept: as stated, calibrated without it, and with it.
 
 from __future__ import annotations
 
-import argparse
-import gzip
-import json
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.studies import stored
-from benchmarks.studies.hidden_world.populations import KINDS as KINDS_OF_FIRST
-from benchmarks.studies.hidden_world.populations import TOGGLED
 from benchmarks.studies.means.judging import (
     FLAGS,
     NOTHING,
     UNKNOWN,
     Judged,
     first_of,
-    interval,
     kept_controls,
     one,
     print_confusion,
     print_rates,
-    rate,
     row_of,
 )
+from benchmarks.studies.rates import rate, share
+from benchmarks.studies.stored import Row
 from rtcal.finder import Case, verify
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.search import find
@@ -58,13 +53,17 @@ KEPT = (
     "families", "size", "rmse", "verification",
 )  # fmt: skip
 """What is stored of a finding."""
-AS_IN_LIBRARY = {
-    "coupled": "coupled room",
-    "nondiffuse": "non-diffuse field",
-    "noise": "noise floor",
-}
-NAMES = {number: AS_IN_LIBRARY.get(kind, kind) for number, kind in KINDS_OF_FIRST.items() if number}
-"""Kinds of the first world as the finder names them."""
+NAMES = dict(
+    enumerate(
+        (
+            "air", "opening", "audience", "furniture", "porous", "resonator", "area", "volume",
+            "formula", "coupled room", "non-diffuse field", "noise floor", UNKNOWN,
+        ), 1,
+    )
+)  # fmt: skip
+"""Kinds of the first world as the finder names them; the last is in no library."""
+EMPTY_KIND, TOGGLED = 0, {22: 2, 23: 3}
+"""Of the first world: nothing is hidden; measured with and without the suspect."""
 PERSONS = "persons"
 """What a hidden audience states that stands: it is `People` to the finder."""
 SAID_AS = {"nothing": NOTHING, "material": "coefficients"}
@@ -72,17 +71,17 @@ SAID_AS = {"nothing": NOTHING, "material": "coefficients"}
 
 
 @cache
-def read(world: int, population: int, part: str) -> list[dict[str, Any]]:
+def read(world: int, population: int, part: str) -> list[Row]:
     """The stored cases ("case") or truths ("truth") of a population, decompressed once."""
     return stored.read(WORLDS[world], population, part)
 
 
-def name_of(hidden: dict[str, Any]) -> str:
+def name_of(hidden: Row) -> str:
     """The finder's name of an effect that is hidden in the first world."""
     return "people" if PERSONS in hidden else NAMES[hidden["kind"]]
 
 
-def truth_of(world: int, truth: dict[str, Any]) -> tuple[frozenset[str], str] | None:
+def truth_of(world: int, truth: Row) -> tuple[frozenset[str], str] | None:
     """The right names and how the uncertainty is stated; None for what is not judged here.
 
     Left out of the first world: rooms with two effects, and those made to look like others.
@@ -91,7 +90,7 @@ def truth_of(world: int, truth: dict[str, Any]) -> tuple[frozenset[str], str] | 
         name = SAID_AS.get(truth["kind"], truth["kind"])
         return frozenset({"people" if PERSONS in truth else name}), truth["statement"]
     kind = TOGGLED.get(truth["seed"][1], truth["seed"][1])
-    if kind == 0:
+    if kind == EMPTY_KIND:
         return frozenset({NOTHING}), ""
     if kind not in NAMES:
         return None
@@ -109,14 +108,14 @@ def jobs() -> list[tuple[int, int, int]]:
     return [every[i] for i in np.random.default_rng(60).permutation(len(every))]
 
 
-def rmse(alpha: Any, truth: dict[str, Any]) -> float:
+def rmse(alpha: Any, truth: Row) -> float:
     """Area-weighted root mean square error of alpha."""
     area = np.array(truth["areas"])[:, None]
     off = np.asarray(alpha) - np.array(truth["alpha"])
     return float(np.sqrt((area * off**2).sum() / area.sum() / off.shape[1]))
 
 
-def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
+def searched(case: Case, controls: list[ControlRooms], truth: Row) -> Row:
     """The finding as plain values; where an effect can be added, what verifying it gives."""
     finding = find(case, controls=controls)
     row = row_of(finding)
@@ -129,7 +128,7 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
     return row
 
 
-def judge(world: int, population: int, index: int, controls: Path) -> dict[str, Any]:
+def judge(world: int, population: int, index: int, controls: Path) -> Row:
     """Search one room with both sets of data; its control rooms are kept in a file."""
     case = Case.from_dict(read(world, population, "case")[index])
     truth = read(world, population, "truth")[index]
@@ -146,38 +145,33 @@ def judge(world: int, population: int, index: int, controls: Path) -> dict[str, 
 def run(folder: Path) -> None:
     """Search every room that is not there yet."""
     warnings.simplefilter("ignore")
-    (folder / "rows").mkdir(parents=True, exist_ok=True)
-    every = jobs()
-    for n, job in enumerate(every, 1):
-        name = "_".join(map(str, job))
-        path = folder / "rows" / f"{name}.json"
-        if not path.exists():
-            row = judge(*job, folder / "controls" / f"{name}.npz")
-            path.write_text(json.dumps(row), encoding="utf-8")
-        print(f"\r{n}/{len(every)}", end="", flush=True)
-    print()
+    named = {"_".join(map(str, job)): job for job in jobs()}
+    stored.resume(
+        folder / "rows.jsonl",
+        {
+            name: partial(judge, *job, folder / "controls" / f"{name}.npz")
+            for name, job in named.items()
+        },
+    )
 
 
-def rows_of(folder: Path | None = None) -> list[dict[str, Any]]:
+def rows_of(folder: Path | None = None) -> list[Row]:
     """The stored rows, or those of a run."""
-    if folder is None:
-        return [json.loads(line) for line in gzip.decompress(STORED.read_bytes()).splitlines()]
-    paths = sorted((folder / "rows").glob("*.json"))
-    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    return stored.rows(STORED if folder is None else folder / "rows.jsonl")
 
 
 def store(folder: Path) -> None:
     """Store the rows of a run."""
-    lines = []
-    for row in rows_of(folder):
-        cut = {data: {k: row[data][k] for k in KEPT if k in row[data]} for data in DATA}
-        lines.append(json.dumps({**row, **cut}, separators=(",", ":")))
-    STORED.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
+    stored.write(
+        STORED,
+        (
+            {**row, **{data: {k: row[data][k] for k in KEPT if k in row[data]} for data in DATA}}
+            for row in rows_of(folder)
+        ),
+    )
 
 
-def judged(
-    rows: Iterable[dict[str, Any]], data: str, worlds: Sequence[int] = tuple(WORLDS)
-) -> list[Judged]:
+def judged(rows: Iterable[Row], data: str, worlds: Sequence[int] = tuple(WORLDS)) -> list[Judged]:
     """The judged rooms of some worlds, with one set of data."""
     out = []
     for row in rows:
@@ -188,19 +182,19 @@ def judged(
     return out
 
 
-def table(rows: Sequence[dict[str, Any]]) -> None:
+def table(rows: Sequence[Row]) -> None:
     """Print rates and confusion by world, then of both worlds together."""
     names = [*NAMES.values(), "coefficients", "curtain", "membrane"]
     names.insert(names.index("audience") + 1, "people")
     for worlds in ((1,), (2,), (3,), BOTH):
         for data, words in DATA.items():
-            rooms = judged(rows, data, worlds)
-            if not rooms:
-                continue
-            print(f"\n== world {' and '.join(map(str, worlds))}: {words}; {len(rooms)} rooms ==")
-            print_rates(rooms)
-            print_confusion(rooms, [NOTHING, *names])
-            print_errors(rooms)
+            if rooms := judged(rows, data, worlds):
+                print(
+                    f"\n== world {' and '.join(map(str, worlds))}: {words}; {len(rooms)} rooms =="
+                )
+                print_rates(rooms)
+                print_confusion(rooms, [NOTHING, *names])
+                print_errors(rooms)
 
 
 def print_errors(rooms: Sequence[Judged]) -> None:
@@ -223,27 +217,9 @@ def print_errors(rooms: Sequence[Judged]) -> None:
             )
 
 
-def report(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the table of README.md, in Markdown."""
-    columns = [judged(rows, data, worlds) for worlds in ((1,), (2,), (3,)) for data in DATA]
-    lines = [
-        "| | first world: times | all data | second: times | all data | third: times | all data |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for label, hits in LINES.items():
-        cells = [in_words([bool(h) for h in hits(rooms)]) for rooms in columns]
-        lines.append("| " + " | ".join([label, *cells]) + " |")
-    return "\n".join(lines)
-
-
-def hidden_in(rooms: Iterable[Judged]) -> list[Judged]:
-    """The rooms in which something of the library is hidden."""
-    return [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
-
-
 LINES: dict[str, Callable[[list[Judged]], Iterable[bool]]] = {
     "nothing hidden, flagged": lambda rooms: (r.flagged for r in rooms if r.nothing),
-    "hidden, detected": lambda rooms: (r.flagged for r in hidden_in(rooms)),
+    "hidden, detected": lambda rooms: (r.flagged for r in rooms if r.hidden),
     "a single effect identified: right": lambda rooms: (r.truth_in_set for r in rooms if r.single),
     "a group identified: right": lambda rooms: (
         r.truth_in_set for r in rooms if r.row["verdict"] == "family"
@@ -255,42 +231,44 @@ LINES: dict[str, Callable[[list[Judged]], Iterable[bool]]] = {
         r.row["verdict"] in FLAGS[:2] for r in rooms if UNKNOWN in r.truths
     ),
     "alpha with the effect no worse than without": lambda rooms: (
-        r.row["rmse"][2] <= r.row["rmse"][1] for r in hidden_in(rooms) if "rmse" in r.row
+        r.row["rmse"][2] <= r.row["rmse"][1] for r in rooms if r.hidden and "rmse" in r.row
     ),
 }
 """The lines of `report`: of each judged room that counts, whether it does."""
 
 
+def report(rows: Sequence[Row]) -> str:
+    """Return the table of README.md, in Markdown."""
+    columns = [judged(rows, data, worlds) for worlds in ((1,), (2,), (3,)) for data in DATA]
+    lines = [
+        "| | first world: times | all data | second: times | all data | third: times | all data |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for label, hits in LINES.items():
+        cells = [in_words(list(hits(rooms))) for rooms in columns]
+        lines.append("| " + " | ".join([label, *cells]) + " |")
+    return "\n".join(lines)
+
+
 def in_words(hits: Sequence[bool]) -> str:
     """A share as README.md has it: "3 of 40 [0.02, 0.20]"."""
-    if not hits:
-        return "-"
-    low, high = interval(sum(hits), len(hits))
-    return f"{sum(hits)} of {len(hits)} [{low:.2f}, {high:.2f}]"
+    _, low, high, n = share(hits)
+    return f"{sum(hits)} of {n} [{low:.2f}, {high:.2f}]" if n else "-"
 
 
 def most_probable(room: Judged) -> str:
     """The most probable effect of a flagged room, "not detected" of another."""
-    if room.row["verdict"] not in FLAGS:
+    if not room.flagged:
         return "not detected"
     effects = {k: v for k, v in room.row["probabilities"].items() if k != NOTHING}
     return max(effects, key=effects.__getitem__)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("run", "store", "table", "report"))
-    parser.add_argument("--folder", type=Path)
-    given = parser.parse_args()
-    if given.what == "run":
-        run(given.folder)
-    elif given.what == "store":
-        store(given.folder)
-    elif given.what == "report":
-        print(report(rows_of(given.folder)))
-    else:
-        table(rows_of(given.folder))
-
-
 if __name__ == "__main__":
-    main()
+    stored.commands(
+        __doc__,
+        run=run,
+        store=store,
+        table=lambda folder: table(rows_of(folder)),
+        report=lambda folder: print(report(rows_of(folder))),
+    )

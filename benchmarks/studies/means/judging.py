@@ -1,7 +1,7 @@
 """Shared by the finder's benchmarks: kept control rooms, findings as rows, rates with intervals.
 
-A row is what one `find` said, as plain values. A judged room is a row with its truth: the name of the
-effect that is hidden, "none", or "unknown" where no effect of the library was hidden.
+A row is what one `find` claimed, as plain values. A judged room is a row with its truth: the name of
+the effect that is hidden, "none", or "unknown" where no effect of the library was hidden.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.studies.rates import rate
+from benchmarks.studies.stored import Row
 from rtcal.finder import Case, Finding, control_rooms, library
 from rtcal.finder.means.engines import ENGINES, ControlRooms
-from rtcal.finder.records import Share
 
 NOTHING = "none"
 UNKNOWN = "unknown"
@@ -46,9 +47,11 @@ def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
     return [ControlRooms(c.engine, c.errors.astype(np.float32).astype(float)) for c in rooms]
 
 
-def row_of(finding: Finding) -> dict[str, Any]:
+def row_of(finding: Finding) -> Row:
     """The finding as plain values."""
     size = finding.size
+    # By how many nats a threshold is exceeded, of T20 or of all data; below 0, neither.
+    every = (finding.detection, *finding.detection.parts.values())
     return {
         "verdict": finding.verdict,
         "effect": finding.effect,
@@ -56,19 +59,13 @@ def row_of(finding: Finding) -> dict[str, Any]:
         "candidates": list(finding.names),
         "score": finding.score,
         "threshold": finding.threshold,
-        "excess": excess(finding),
+        "excess": max(d.score - d.threshold for d in every),
         "parameters": {} if finding.best is None else dict(finding.best.parameters),
         "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
         "probabilities": rounded(finding.probabilities),
         "families": rounded(finding.families),
         "size": None if size is None else [size.mean, size.low, size.high],
     }
-
-
-def excess(finding: Finding) -> float:
-    """Return by how many nats a threshold is exceeded, of T20 or of all data; below 0, neither."""
-    every = (finding.detection, *finding.detection.parts.values())
-    return max(d.score - d.threshold for d in every)
 
 
 def rounded(table: Any) -> dict[str, float]:
@@ -89,19 +86,24 @@ def families_of(names: Iterable[str]) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Judged:
-    """A judged room: what was hidden and what was said.
+    """A judged room: what was hidden and what was claimed.
 
     ``truths`` are the names that are right: one, or several that mean the same. ``group`` is how the
     case states its uncertainty, or any other division of the rooms.
     """
 
     truths: frozenset[str]
-    row: dict[str, Any]
+    row: Row
     group: str = ""
 
     @property
     def nothing(self) -> bool:
         return NOTHING in self.truths
+
+    @property
+    def hidden(self) -> bool:
+        """Whether an effect of the library is hidden."""
+        return not self.nothing and UNKNOWN not in self.truths
 
     @property
     def flagged(self) -> bool:
@@ -133,69 +135,48 @@ class Judged:
         return bool(self.truths & {*self.row["candidates"], self.row["effect"]})
 
 
-def interval(k: int, n: int) -> tuple[float, float]:
-    """The 95 % interval of a share (Clopper and Pearson 1934)."""
-    return Share(k, n).interval
-
-
-def rate(hits: Iterable[bool]) -> str:
-    """Share with its 95 % interval."""
-    table = [bool(h) for h in hits]
-    n, k = len(table), sum(table)
-    if n == 0:
-        return "none"
-    low, high = interval(k, n)
-    return f"{k / n:.3f} [{low:.3f}, {high:.3f}] of {n}"
-
-
 def calibration_error(
-    stated: Sequence[float],
-    right: Sequence[bool],
-    bins: int = 10,
-    weights: Sequence[float] | None = None,
+    stated: Sequence[float] | np.ndarray, right: Sequence[bool] | np.ndarray, bins: int = 10
 ) -> tuple[float, list[tuple[int, float, float]]]:
     """Return the expected calibration error, and per bin count, mean probability and frequency.
 
     Sum over equal bins of count/total |mean probability - frequency| (Naeini, Cooper, Hauskrecht
-    2015), of counts and means with ``weights``, where they are given.
+    2015).
     """
     p, hit = np.asarray(stated, float), np.asarray(right, float)
-    w = np.ones(len(p)) if weights is None else np.asarray(weights, float)
     which = np.minimum((p * bins).astype(int), bins - 1)
-    error, rows = 0.0, []
-    for b in range(bins):
-        within = which == b
-        if within.any():
-            x, y = (float(np.average(v[within], weights=w[within])) for v in (p, hit))
-            error += float(w[within].sum() / w.sum()) * abs(x - y)
-            rows.append((int(within.sum()), x, y))
-    return error, rows
+    rows = [
+        (int(within.sum()), float(p[within].mean()), float(hit[within].mean()))
+        for within in (which == b for b in range(bins))
+        if within.any()
+    ]
+    return sum(n / len(p) * abs(x - y) for n, x, y in rows), rows
 
 
 def stated_probabilities(
     rooms: Sequence[Judged], what: str, every: bool = False
-) -> tuple[list[float], list[bool]]:
+) -> tuple[np.ndarray, np.ndarray]:
     """The probability of each room's most probable answer, or of ``every`` answer; whether right.
 
     ``what`` is "probabilities" (of effects) or "families", of which those wider than others are left
     out. "none", "unknown" and "coefficients" are answers like any other.
     """
-    stated, right = [], []
+    answers = []
     for room in rooms:
         table = room.row[what]
         wide = {name.split(",")[0] for name in table if "," in name}
         narrow = {k: p for k, p in table.items() if k not in wide}
-        answers = room.truths if what == "probabilities" else room.truths | room.families
-        for name in narrow if every else sorted(narrow, key=lambda k: -narrow[k])[:1]:
-            stated.append(narrow[name])
-            right.append(name in answers)
-    return stated, right
+        right = room.truths if what == "probabilities" else room.truths | room.families
+        named = narrow if every else sorted(narrow, key=lambda k: -narrow[k])[:1]
+        answers += [(narrow[name], name in right) for name in named]
+    stated, hits = np.array(answers, dtype=float).T
+    return stated, hits
 
 
 def print_rates(rooms: Sequence[Judged]) -> None:
-    """Print what the issue asks of one world and one set of data."""
+    """Print what was asked of one world and one set of data."""
     controls = [r for r in rooms if r.nothing]
-    hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
+    hidden = [r for r in rooms if r.hidden]
     caught = [r for r in hidden if r.flagged]
     print("controls flagged              ", rate(r.flagged for r in controls))
     for group in sorted({r.group for r in controls} - {""}):
@@ -209,14 +190,11 @@ def print_rates(rooms: Sequence[Judged]) -> None:
         print("  as:", ", ".join(f"{k} {n}" for k, n in said.most_common()))
     print("detected                      ", rate(r.flagged for r in hidden))
     print("a single name claimed         ", rate(r.single for r in caught))
-    print("  and right, of hidden        ", rate(r.right_name for r in caught if r.single))
-    everything = [r for r in rooms if r.single]
-    print("  and right, of all rooms     ", rate(r.right_name for r in everything))
+    named = [r for r in caught if r.single]
+    print("  and right, of hidden        ", rate(r.right_name for r in named))
+    print("  and right, of all rooms     ", rate(r.right_name for r in rooms if r.single))
     for group in sorted({r.group for r in caught} - {""}):
-        print(
-            f"    {group:26}",
-            rate(r.right_name for r in caught if r.single and r.group == group),
-        )
+        print(f"    {group:26}", rate(r.right_name for r in named if r.group == group))
     family = [r for r in caught if r.row["verdict"] == "family"]
     print("a family claimed              ", rate(r.row["verdict"] == "family" for r in caught))
     print("  and right                   ", rate(r.right_family for r in family))
@@ -228,32 +206,24 @@ def print_rates(rooms: Sequence[Judged]) -> None:
         print_calibration(rooms, what)
 
 
-def print_calibration(
-    rooms: Sequence[Judged], what: str, weights: Sequence[float] | None = None
-) -> None:
+def print_calibration(rooms: Sequence[Judged], what: str) -> None:
     """Print calibration errors of the most probable answer and of every one, then the former's bins.
 
     Beside them what probabilities that are exactly right would show by chance: in so few rooms the
-    error is not 0 even then. ``weights`` are the rooms'.
+    error is not 0 even then.
     """
-    by_room = np.ones(len(rooms)) if weights is None else np.asarray(weights)
     for label, every in (("most probable", False), ("every one", True)):
-        answers = [stated_probabilities([room], what, every) for room in rooms]
-        if not answers:
-            return
-        p, hit = (np.concatenate([a[i] for a in answers]).astype(float) for i in (0, 1))
-        w = np.repeat(by_room, [len(a[0]) for a in answers])
-        error, bins = calibration_error(p, hit, weights=w)
+        p, hit = stated_probabilities(rooms, what, every)
+        error, bins = calibration_error(p, hit)
         rng = np.random.default_rng(0)
         picked = rng.integers(len(p), size=(400, len(p)))
-        low, high = np.quantile(
-            [calibration_error(p[i], hit[i], weights=w[i])[0] for i in picked], [0.025, 0.975]
-        )
-        chance = [calibration_error(p, rng.random(len(p)) < p, weights=w)[0] for _ in range(400)]
+        drawn = [calibration_error(p[i], hit[i])[0] for i in picked]
+        low, high = np.quantile(drawn, [0.025, 0.975])
+        chance = [calibration_error(p, rng.random(len(p)) < p)[0] for _ in range(400)]
         print(
             f"calibration error, {what}, {label}: {error:.3f} [{low:.3f}, {high:.3f}] of {len(p)}; "
             f"by chance {np.mean(chance):.3f} to {np.quantile(chance, 0.95):.3f}; "
-            f"mean stated {np.average(p, weights=w):.3f}, right {np.average(hit, weights=w):.3f}"
+            f"mean stated {p.mean():.3f}, right {hit.mean():.3f}"
         )
         print("  stated:right (number)  " + "  ".join(f"{x:.2f}:{y:.2f} ({n})" for n, x, y in bins))
 
@@ -262,9 +232,8 @@ def print_confusion(rooms: Sequence[Judged], names: Sequence[str]) -> None:
     """Print what was hidden against the best name of the flagged rooms."""
     print("hidden: the best name where flagged, how often")
     for name in names:
-        group = [r.row for r in rooms if name in r.truths]
-        if group:
-            count = Counter(
-                str(x["effect"]) if x["verdict"] in FLAGS else "not flagged" for x in group
-            )
+        count = Counter(
+            str(r.row["effect"]) if r.flagged else "not flagged" for r in rooms if name in r.truths
+        )
+        if count:
             print(f"  {name}: " + ", ".join(f"{best} {n}" for best, n in count.most_common()))

@@ -3,36 +3,26 @@
     python -m benchmarks.studies.means.several_effects run --folder out  # can be resumed; then: store
     python -m benchmarks.studies.means.several_effects table
 
-The rooms are built from their numbers: the last 50 of 100 of population 1 with two effects, and 60
-with one of every kind in turn, none of which is stored. Both kinds are searched turn by turn.
+The rooms are those of population 5: 50 with two effects and 60 with one of every kind, in turn.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import gzip
-import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import zip_longest
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benchmarks.studies.hidden_world.populations import COUNTS, DOUBLE, build
-from benchmarks.studies.means.judged import DATA, name_of, rmse
-from benchmarks.studies.means.judging import (
-    families,
-    first_of,
-    kept_controls,
-    one,
-    rate,
-)
+from benchmarks.studies import stored
+from benchmarks.studies.means.judged import DATA, name_of, read, rmse
+from benchmarks.studies.means.judging import families, first_of, kept_controls, one
+from benchmarks.studies.rates import rate
+from benchmarks.studies.stored import Row
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import MOST
@@ -40,44 +30,30 @@ from rtcal.finder.means.recalibration import plain
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 
-POPULATION = 1
+POPULATION = 5
 STORED = Path(__file__).with_name("several_effects.jsonl.gz")
-DOUBLES = range(50, 100)
-SINGLES = 60
-N_KINDS = 12
 
 
-def seeds() -> Iterator[tuple[int, int]]:
-    """Kind and number of every room, those with two effects and those with one in turn."""
-    two = [(DOUBLE, COUNTS[POPULATION][DOUBLE] + i) for i in DOUBLES]
-    kinds = [(1 + i % N_KINDS, i // N_KINDS) for i in range(SINGLES)]
-    alone = [(kind, COUNTS[POPULATION][kind] + number) for kind, number in kinds]
-    for pair in zip_longest(two, alone):
-        yield from (seed for seed in pair if seed is not None)
+def judge(index: int, folder: Path) -> Row:
+    """Search a room with both sets of data."""
+    case = Case.from_dict(read(1, POPULATION, "case")[index])
+    truth = read(1, POPULATION, "truth")[index]
+    controls = kept_controls(case, folder / "controls" / f"{index}.npz")
+    return {
+        "truth": truth["effects"],
+        "one": searched(one(case), first_of(controls), truth),
+        "all": searched(case, controls, truth),
+    }
 
 
 def run(folder: Path) -> None:
-    """Build and search every room that is not there yet."""
+    """Search every room that is not there yet."""
     warnings.simplefilter("ignore")
-    folder.mkdir(parents=True, exist_ok=True)
-    for kind, number in seeds():
-        path = folder / f"{kind}_{number}.json"
-        if path.exists():
-            continue
-        made = build(POPULATION, kind, number)
-        case = Case.from_dict(made["case"])
-        controls = kept_controls(case, path.with_suffix(".npz"))
-        row = {
-            "truth": made["truth"]["effects"],
-            "one": searched(one(case), first_of(controls), made["truth"]),
-            "all": searched(case, controls, made["truth"]),
-        }
-        path.write_text(json.dumps(row), encoding="utf-8")
-        print(f"\r{path.stem}   ", end="", flush=True)
-    print()
+    rooms = range(len(read(1, POPULATION, "case")))
+    stored.resume(folder / "rows.jsonl", {f"{i}": partial(judge, i, folder) for i in rooms})
 
 
-def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
+def searched(case: Case, controls: list[ControlRooms], truth: Row) -> Row:
     """A search for several effects as plain values, the error of alpha, and the time it took."""
     began = time.process_time()
     found = find(case, controls=controls, most=MOST)
@@ -90,13 +66,11 @@ def searched(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
         "sets": [[list(s), p] for s, p in found.sets.items() if p > 1e-4],
     }
     if len(truth["effects"]) == 2:
-        simple = rmse(plain(case).alpha, truth)
-        added = simple
-        with contextlib.suppress(
-            DataError
-        ):  # nothing found, or nothing probable enough to be added
-            added = rmse(recalibrate(found.apply().case, found.discrepancy).alpha, truth)
-        row["rmse"] = [rmse(case.room.alpha, truth), simple, added, rmse(found.alpha, truth)]
+        added = plain(case).alpha
+        tables = [case.room.alpha, added]
+        with contextlib.suppress(DataError):  # nothing found, or not probable enough to be added
+            added = recalibrate(found.apply().case, found.discrepancy).alpha
+        row["rmse"] = [rmse(alpha, truth) for alpha in (*tables, added, found.alpha)]
     return row
 
 
@@ -105,7 +79,7 @@ class Searched:
     """A judged room: what was hidden in it and what a search for several effects found."""
 
     truth: list[str]
-    row: dict[str, Any]
+    row: Row
 
     @property
     def families(self) -> list[str]:
@@ -152,13 +126,12 @@ def wide(names: list[str]) -> list[str]:
 
 def store(folder: Path) -> None:
     """Store the rows of a run."""
-    rows = [p.read_text(encoding="utf-8") for p in sorted(folder.glob("*.json"))]
-    STORED.write_bytes(gzip.compress("\n".join(rows).encode(), mtime=0))
+    stored.write(STORED, stored.rows(folder / "rows.jsonl"))
 
 
 def judged(data: str) -> list[Searched]:
     """The stored rooms, with one set of data."""
-    rows = map(json.loads, gzip.decompress(STORED.read_bytes()).splitlines())
+    rows = stored.rows(STORED)
     return [Searched([name_of(e) for e in row["truth"]], row[data]) for row in rows]
 
 
@@ -180,30 +153,14 @@ def table() -> None:
         medians = np.median(errors, axis=0).round(4)
         print("  medians: stated, plain, added, averaged", medians)
         print("one hidden: more claimed than is there  ", rate(r.second_claim for r in single))
-        print(
-            "  a set of two or three claimed         ",
-            rate(bool(r.row["named_set"]) for r in single),
-        )
+        print("  a set of two or three claimed         ", rate(r.row["named_set"] for r in single))
         claims = [f.split(",")[0] in r.families for r in every for f in r.row["named_families"]]
         print("claims of a family that were right      ", rate(claims))
-        print(
-            "claims of a set that were right         ",
-            rate(r.both_claimed for r in every if r.row["named_set"]),
-        )
+        sets = [r.both_claimed for r in every if r.row["named_set"]]
+        print("claims of a set that were right         ", rate(sets))
         seconds = [r.row["seconds"] for r in every]
         print(f"seconds of processor: median {np.median(seconds):.2f}, at most {max(seconds):.2f}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("run", "store", "table"))
-    parser.add_argument("--folder", type=Path)
-    given = parser.parse_args()
-    if given.what == "table":
-        table()
-    else:
-        {"run": run, "store": store}[given.what](given.folder)
-
-
 if __name__ == "__main__":
-    main()
+    stored.commands(__doc__, run=run, store=store, table=lambda _: table())

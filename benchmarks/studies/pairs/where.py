@@ -22,12 +22,11 @@ was added; the gap to what is heard, without the measurement's noise, stands bes
 from __future__ import annotations
 
 import argparse
-import gzip
-import json
 import time
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,15 +36,14 @@ import rtcal as rt
 from benchmarks.studies.geometric_world.load import (
     HANDBOOK,
     IN_SITU,
-    GeometricRoom,
     load,
     stored,
     truth,
     without_noise,
 )
 from benchmarks.studies.means.judging import FLAGS, rounded, row_of
-from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
-from benchmarks.studies.stored import path
+from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, table
+from benchmarks.studies.stored import Row, path, plain, resume, rows, write
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.finder import library
 from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem
@@ -63,23 +61,12 @@ PRESENT = "sixth"
 
 def population_of(which: str) -> int:
     """Return the population that rooms ``which`` of `ROOMS` belong to."""
-    return {"eleventh": 3, "sixth": 3, "seventh": 4, "eighth": 4, "ninth": 4, "tenth": 4}.get(
-        which, 1
-    )
+    return {"eleventh": 3, "sixth": 3, "first": 1}.get(which, 4)
 
 
 def stored_in(which: str) -> Path:
     """Return the file that has the rows of rooms ``which``."""
     return path("geometric_world", population_of(which), "results")
-
-
-def case_of(room: GeometricRoom, data: str, paths: int = PATHS) -> rt.finder.PositionsCase:
-    level = data == "level"
-    return rt.finder.PositionsCase(
-        simulator=room.simulator(n_paths=paths),
-        measured=room.measured if level else room.without_level(),
-        match=MATCH if level else MATCH[:-1],
-    )
 
 
 @dataclass(frozen=True)
@@ -91,8 +78,17 @@ class Judging:
     folder: Path
     paths: int = PATHS
 
-    def load(self, index: int) -> GeometricRoom:
-        return load(self.population, index, self.statement)
+    @property
+    def cache(self) -> Path:
+        return self.folder / "controls"
+
+    def case(self, index: int, data: str) -> rt.finder.PositionsCase:
+        room, level = load(self.population, index, self.statement), data == "level"
+        return rt.finder.PositionsCase(
+            simulator=room.simulator(n_paths=self.paths),
+            measured=room.measured if level else room.without_level(),
+            match=MATCH if level else MATCH[:-1],
+        )
 
     def file(self, step: str) -> Path:
         return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
@@ -107,79 +103,18 @@ def prepared(
     return numbers, every_hypothesis(case, numbers, library())
 
 
-def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:
-    """Return what `rtcal.find` says of a room."""
-    room = judging.load(index)
-    case = case_of(room, data, judging.paths)
+def judged(judging: Judging, index: int, data: str) -> Row:
+    """Return what `rtcal.find` claims of a room."""
+    case = judging.case(index, data)
     clock, processor = time.perf_counter(), time.process_time()
-    finding = rt.find(case, cache=judging.folder / "controls")
+    finding = rt.find(case, cache=judging.cache)
+    face, best = truth(judging.population, index)["surface"], finding.best
+    names = [name for name, faces in case.faces.items() if face in faces]
     return {
-        "index": index,
-        "data": data,
         "seconds": time.perf_counter() - clock,
         "processor": time.process_time() - processor,
         "n_surfaces": len(case.faces),
-        "n_bands": room.room.n_bands,
-        **said(finding, case, truth(judging.population, index)["surface"]),
-    }
-
-
-def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
-    """Return the mean gaps at held-out pairs in JND, to what was measured and to what is heard.
-
-    What is heard has no noise. Rooms whose T changes little, and findings that add nothing to a
-    surface, have none; those of `run` that flagged nothing are not made again.
-    """
-    out: dict[str, Any] = {"index": index, "data": data, "gaps": {}, "gaps_heard": {}}
-    cache = judging.folder / "controls"
-    if truth(judging.population, index)["effect_on_t"] <= LARGE:
-        return out
-    for row in read(judging.file("run")):
-        if (row["index"], row["data"]) == (index, data) and row["verdict"] not in FLAGS:
-            return out
-    case = case_of(judging.load(index), data, judging.paths)
-    finding = rt.find(case, cache=cache)
-    if not finding.can_be_added:
-        return out
-    result = rt.finder.verify(finding, cache=cache)
-    gaps = dict(zip(MODELS, result.gaps.mean(axis=1), strict=True))
-    off = noise(finding, without_noise(judging.population, index))
-    for key, by_model in (
-        ("gaps", gaps),
-        ("gaps_heard", {m: to_heard(g, off) for m, g in gaps.items()}),
-    ):
-        out[key] = {model: float(np.nanmean(np.abs(gap))) for model, gap in by_model.items()}
-    return out
-
-
-def noise(finding: Any, heard: rt.Measurement) -> tuple[np.ndarray, np.ndarray]:
-    """Return measured over heard, in which a gap's JND differ, and their gap in JND.
-
-    Both (n_parameters, n_pairs, n_bands).
-    """
-    scale, off = [], []
-    for name in finding.parameters:
-        key = "g" if name == "level" else name
-        measured = finding.case.measured
-        rows = [[measured.pairs.index(p) for p in finding.pairs]]
-        true = heard.values[key][[heard.pairs.index(p) for p in finding.pairs]]
-        value = measured.values[key][tuple(rows)]
-        scale.append(value / true if name in ("t20", "edt") else np.ones_like(value))
-        off.append(gap_jnd(value, true, key))
-    return np.array(scale), np.array(off)
-
-
-def to_heard(gap: np.ndarray, off: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the gap to what is heard, of that to what was measured; both in JND."""
-    scale, measured = off
-    return np.asarray(scale * gap + measured)
-
-
-def said(finding: Any, case: Any, face: int) -> dict[str, Any]:
-    """Return a finding as plain values. ``face`` is where something is hidden; -1 for nowhere."""
-    names = [name for name, faces in case.faces.items() if face in faces]
-    best = finding.best
-    return {
+        "n_bands": len(case.measured.centre_frequencies),
         "verdict": finding.verdict,
         "effect": finding.effect,
         "family": finding.family,
@@ -187,13 +122,9 @@ def said(finding: Any, case: Any, face: int) -> dict[str, Any]:
         "true_surface": names[0] if names else None,
         "surfaces": rounded(finding.surfaces),
         "likely": list(finding.likely_surfaces),
-        "best": None
-        if best is None
-        else {
-            "effect": best.effect,
-            "family": best.family,
-            "surface": best.surface,
-            "place": best.place,
+        "best": best
+        and {
+            **{k: getattr(best, k) for k in ("effect", "family", "surface", "place")},
             "size": [best.size, best.low, best.high],
         },
         "probabilities": rounded(finding.probabilities),
@@ -205,87 +136,88 @@ def said(finding: Any, case: Any, face: int) -> dict[str, Any]:
     }
 
 
-def plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, float | np.floating):
-        return float(f"{value:.4g}") if np.isfinite(value) else None
-    return value
+def verified(judging: Judging, index: int, data: str) -> Row:
+    """Return the mean gaps at held-out pairs in JND, to what was measured and to what is heard.
+
+    What is heard has no noise. Rooms whose T changes little, and findings that add nothing to a
+    surface, have none; those of `run` that flagged nothing are not made again.
+    """
+    none: Row = {"gaps": {}, "gaps_heard": {}}
+    made = {(r["index"], r["data"]): r["verdict"] for r in rows(judging.file("run"))}
+    small = truth(judging.population, index)["effect_on_t"] <= LARGE
+    if small or made.get((index, data), FLAGS[0]) not in FLAGS:
+        return none
+    finding = rt.find(judging.case(index, data), cache=judging.cache)
+    if not finding.can_be_added:
+        return none
+    gaps = rt.finder.verify(finding, cache=judging.cache).gaps.mean(axis=1)
+    scale, off = noise(finding, without_noise(judging.population, index))
+    return {
+        key: {m: float(np.nanmean(np.abs(g))) for m, g in zip(MODELS, gap, strict=True)}
+        for key, gap in (("gaps", gaps), ("gaps_heard", scale * gaps + off))
+    }
 
 
-def means_only(judging: Judging, index: int, data: str) -> dict[str, Any]:
-    """Return what the finder without a geometry says of the same measurement."""
-    case = of_means(case_of(judging.load(index), data))
-    row = row_of(find(case, cache=judging.folder / "controls"))
-    return {"index": index, "data": data, **row}
+def noise(finding: Any, heard: rt.Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Return measured over heard, in which a gap's JND differ, and their gap in JND.
 
-
-def run(judging: Judging, step: str, indices: Iterable[int], data: Sequence[str]) -> None:
-    """Judge the rooms that are not in the file yet; each row is written at once."""
-    file, population = judging.file(step), judging.population
-    file.parent.mkdir(parents=True, exist_ok=True)
-    done = {(r["index"], r["data"]) for r in read(file)}
-    for index in indices:
-        for which in data:
-            if (index, which) in done:
-                continue
-            row = plain(STEPS[step](judging, index, which))
-            with file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(row, separators=(",", ":")) + "\n")
-            print(
-                index, which, truth(population, index)["kind"], row.get("verdict", ""), flush=True
-            )
-
-
-def read(file: Path) -> list[dict[str, Any]]:
-    if not file.exists():
-        return []
-    content = file.read_bytes()
-    lines = gzip.decompress(content) if file.suffix == ".gz" else content
-    return [json.loads(line) for line in lines.splitlines()]
-
-
-def results(judging: Judging) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of a run: in the geometry, with their gaps, and of means."""
-    every = {step: read(judging.file(step)) for step in STEPS}
-    gaps = {(r["index"], r["data"]): r for r in every["gaps"]}
-    found = [{**r, **gaps.get((r["index"], r["data"]), {})} for r in every["run"]]
-    return found, every["means"]
-
-
-def kept(statement: str, which: str = PRESENT) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
-    rows = [r for r in read(stored_in(which)) if r["statement"] == statement]
-    found = [r for r in chosen(rows, which) if r["finder"] == "where"]
-    return found, [r for r in chosen(rows, which) if r["finder"] == "means"]
-
-
-def store(folder: Path, which: str) -> None:
-    """Put the rows of a run into the repository, as rooms ``which`` of `ROOMS`, beside the others."""
-    file = stored_in(which)
-    every = [r for r in read(file) if r["rooms"] != which]
-    every += [
-        {"finder": finder, "statement": statement, "rooms": which, **row}
-        for statement in STATEMENTS
-        for finder, rows in zip(
-            ("where", "means"),
-            results(Judging(population_of(which), statement, folder)),
-            strict=True,
+    Both (n_parameters, n_pairs, n_bands).
+    """
+    scale, off = [], []
+    for name in finding.parameters:
+        key = "g" if name == "level" else name
+        value, true = (
+            m.values[key][[m.pairs.index(p) for p in finding.pairs]]
+            for m in (finding.case.measured, heard)
         )
-        for row in rows
-    ]
-    lines = [json.dumps(row, separators=(",", ":")) for row in every]
-    file.write_bytes(gzip.compress("\n".join(lines).encode(), mtime=0))
+        scale.append(value / true if name in ("t20", "edt") else np.ones_like(value))
+        off.append(gap_jnd(value, true, key))
+    return np.array(scale), np.array(off)
 
 
-STEPS: dict[str, Callable[[Judging, int, str], dict[str, Any]]] = {
+def means_only(judging: Judging, index: int, data: str) -> Row:
+    """Return what the finder without a geometry claims of the same measurement."""
+    return row_of(find(of_means(judging.case(index, data)), cache=judging.cache))
+
+
+STEPS: dict[str, Callable[[Judging, int, str], Row]] = {
     "run": judged,
     "gaps": verified,
     "means": means_only,
 }
 """What is made of a room, by the name of its command and of its file of rows."""
+
+
+def made_of(judging: Judging, step: str, index: int, data: str) -> Row:
+    """Return the row of a room as it is kept."""
+    return {"index": index, "data": data, **plain(STEPS[step](judging, index, data), 4)}
+
+
+def results(judging: Judging) -> tuple[list[Row], list[Row]]:
+    """Return the rows of a run: in the geometry, with their gaps, and of means."""
+    gaps = {row["job"]: row for row in rows(judging.file("gaps"))}
+    found = [{**row, **gaps.get(row["job"], {})} for row in rows(judging.file("run"))]
+    return found, rows(judging.file("means"))
+
+
+def kept(statement: str, which: str = PRESENT) -> tuple[list[Row], list[Row]]:
+    """Return the stored rows of some of the rooms (`ROOMS`), as `results` does."""
+    chosen = [
+        r for r in rows(stored_in(which)) if (r["statement"], r["rooms"]) == (statement, which)
+    ]
+    found, means = ([r for r in chosen if r["finder"] == f] for f in ("where", "means"))
+    return found, means
+
+
+def store(folder: Path, which: str) -> None:
+    """Put the rows of a run into the repository, as rooms ``which`` of `ROOMS`, beside the others."""
+    every = [r for r in rows(stored_in(which)) if r["rooms"] != which]
+    for statement in STATEMENTS:
+        of_run = results(Judging(population_of(which), statement, folder))
+        for finder, found in zip(("where", "means"), of_run, strict=True):
+            given = {"finder": finder, "statement": statement, "rooms": which}
+            every += [{**given, **row} for row in found]
+    write(stored_in(which), every)
 
 
 def main() -> None:
@@ -297,30 +229,35 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--number", type=int, default=250, help="of rooms, in a fair order")
     parser.add_argument("--rooms", choices=ROOMS, default=PRESENT, help="which ones a table is of")
-    parser.add_argument("--data", default=",".join(DATA))
     parser.add_argument("--least", type=float, default=-1.0, help="effect on T of the rooms")
     parser.add_argument("--paths", type=int, default=PATHS, help="from each source")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    if given.command == "table":
-        if given.folder is None:
-            print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
-            table(*kept(given.statement, given.rooms), population_of(given.rooms))
-        else:
-            judging = Judging(given.population, given.statement, given.folder)
-            table(*results(judging), given.population)
-    elif given.folder is None:
+    if given.command == "table" and given.folder is None:
+        print(f"rooms {ROOMS[given.rooms]}; coefficients: {given.statement}")
+        table(*kept(given.statement, given.rooms), population_of(given.rooms))
+        return
+    if given.folder is None:
         parser.error("--folder is needed")
+    judging = Judging(given.population, given.statement, given.folder, given.paths)
+    if given.command == "table":
+        table(*results(judging), given.population)
     elif given.command == "store":
         store(given.folder, given.rooms)
     else:
-        judging = Judging(given.population, given.statement, given.folder, given.paths)
         every = sorted(
             i
             for i in stored(given.population, "truth")
             if i >= given.first and truth(given.population, i)["effect_on_t"] >= given.least
         )
-        run(judging, given.command, every[: given.number], given.data.split(","))
+        resume(
+            judging.file(given.command),
+            {
+                f"{i} {data}": partial(made_of, judging, given.command, i, data)
+                for i in every[: given.number]
+                for data in DATA
+            },
+        )
 
 
 if __name__ == "__main__":

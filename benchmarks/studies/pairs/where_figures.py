@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from benchmarks.studies.fits.positions_table import bootstrap, share
 from benchmarks.studies.geometric_world.load import EMPTY, HIDDEN, ON_A_SURFACE, truth
 from benchmarks.studies.means.judging import FLAGS, NOTHING, families_of
+from benchmarks.studies.rates import Line, over, share
+from benchmarks.studies.stored import Row
 
 DATA = {"without": "without level", "level": "with level"}
 ABSORBERS = ON_A_SURFACE
@@ -29,19 +29,30 @@ ROOMS = {
     "first": "0 to 42 of population 1, with a handbook's coefficients",
 }
 """The rooms that the stored rows are of. Each set was judged once, by the finder of its day."""
-
-
 OF_KIND = {
     "receiver": ("measurement",),
     "coupled room": ("field",),
     "covered surface": ("less absorption",),
 }
 """Right families of kinds whose name is no effect of `rtcal.finder`."""
+ASKED = {
+    "flagged with nothing hidden": (0, 0.05),
+    "detected more than by means": (0.12, 1),
+    "right family, of the detected": (0.85, 1),
+    "right surface, of absorbers detected": (0.6, 1),
+    "right surface among the candidates": (0.85, 1),
+    "candidates, mean": (1, 2),
+    "a single surface claimed: right": (0.9, 1),
+    "gap corrected / plain, median": (0, 0.7),
+    "rooms in which it shrinks": (0.85, 1),
+}
+"""The lowest and the highest figure that meets what was asked."""
 
 
-def chosen(rows: Iterable[dict[str, Any]], which: str) -> list[dict[str, Any]]:
-    """Return the stored rows of some rooms; ``which`` is of `ROOMS`."""
-    return [r for r in rows if r["rooms"] == which]
+def asked(data: str) -> dict[str, tuple[float, float]]:
+    """Return the limits for one kind of data by name."""
+    more = {"right surface, of absorbers detected": (0.75, 1.0)} if data == "level" else {}
+    return ASKED | more
 
 
 def right_families(kind: str) -> frozenset[str]:
@@ -52,11 +63,12 @@ def right_families(kind: str) -> frozenset[str]:
 class Rows:
     """Rows of one kind of data beside the truth of their rooms."""
 
-    def __init__(self, rows: Iterable[dict[str, Any]], population: int, data: str) -> None:
+    def __init__(self, rows: Iterable[Row], population: int, data: str) -> None:
         chosen = {r["index"]: r for r in rows if r["data"] == data}
         self.all = [(truth(population, i), row) for i, row in sorted(chosen.items())]
 
-    def only(self, kinds: Sequence[str], flagged: bool | None = None) -> list[Any]:
+    def only(self, kinds: Sequence[str], flagged: bool | None = None) -> list[tuple[Row, Row]]:
+        """Return the rooms of some kinds, or those of them that were flagged."""
         return [
             (t, r)
             for t, r in self.all
@@ -64,7 +76,7 @@ class Rows:
         ]
 
 
-def family_of(row: dict[str, Any]) -> str | None:
+def family_of(row: Row) -> str | None:
     """Return the family that is claimed, or else the most probable one."""
     if row["family"]:
         return str(row["family"])
@@ -73,50 +85,32 @@ def family_of(row: dict[str, Any]) -> str | None:
     return max(narrow, key=lambda f: narrow[f]) if narrow else None
 
 
-Line = tuple[float, float, float, int]
-"""A figure, its 95 % interval, and the number of rooms that it is over."""
-
-
-def portion(hits: Iterable[bool]) -> Line:
-    """Return a share with its interval (Clopper and Pearson 1934)."""
-    table = [bool(h) for h in hits]
-    return (*share(sum(table), len(table)), len(table)) if table else (np.nan, np.nan, np.nan, 0)
-
-
-def over(statistic: Callable[[np.ndarray], Any], values: Iterable[float]) -> Line:
-    """Return a statistic of the rooms' values with its interval over rooms."""
-    x = np.array([v for v in values if v is not None], dtype=float)
-    if not x.size:
-        return np.nan, np.nan, np.nan, 0
-    return (*bootstrap(lambda i: float(statistic(x[i])), len(x)), len(x))
-
-
-def flags(rows: Rows, kinds: Sequence[str]) -> list[bool]:
-    return [r["verdict"] in FLAGS for _, r in rows.only(kinds)]
-
-
 def common(rows: Rows) -> dict[str, Line]:
     """Return the lines that a finder without a geometry has as well."""
     caught = rows.only(HIDDEN, True)
     right = [(r, family_of(r) in right_families(t["kind"])) for t, r in caught]
     empty = sorted((r["score"] for _, r in rows.only((EMPTY,))), reverse=True)[1:2]
+
+    def flagged(kinds: Sequence[str]) -> Line:
+        return share(r["verdict"] in FLAGS for _, r in rows.only(kinds))
+
     return {
-        "flagged with nothing hidden": portion(flags(rows, (EMPTY,))),
-        "detected": portion(flags(rows, HIDDEN)),
-        "detected, absorbers alone": portion(flags(rows, ABSORBERS)),
-        "detected where one empty room is flagged": portion(
+        "flagged with nothing hidden": flagged((EMPTY,)),
+        "detected": flagged(HIDDEN),
+        "detected, absorbers alone": flagged(ABSORBERS),
+        "detected where one empty room is flagged": share(
             r["score"] > limit for limit in empty for _, r in rows.only(HIDDEN)
         ),
-        "ends as unknown, of the detected": portion(r["verdict"] == "unknown" for _, r in caught),
-        "right family, of the detected": portion(hit for _, hit in right),
-        "the same, where one is claimed": portion(
+        "ends as unknown, of the detected": share(r["verdict"] == "unknown" for _, r in caught),
+        "right family, of the detected": share(hit for _, hit in right),
+        "the same, where one is claimed": share(
             hit for r, hit in right if r["verdict"] in ("named", "family")
         ),
     }
 
 
 def places(rows: Rows) -> dict[str, Line]:
-    """Return how often the right surface was said."""
+    """Return how often the right surface was named."""
     caught = rows.only(ABSORBERS, True)
     walls = [(t, r) for t, r in caught if t["kind"] not in WHOLE_PLACES]
     claimed = [r for _, r in rows.all if r["surface"] is not None and r["verdict"] in FLAGS]
@@ -125,49 +119,44 @@ def places(rows: Rows) -> dict[str, Line]:
         (t["size"], r["best"]["size"]) for t, r in caught if r["best"] and r["best"]["surface"]
     ]
     return {
-        "right surface, of absorbers detected": portion(is_first(r) for _, r in caught),
-        "the same without audiences": portion(is_first(r) for _, r in walls),
-        "by chance": over(np.mean, (1 / r["n_surfaces"] for _, r in caught)),
-        "right surface among the candidates": portion(
+        "right surface, of absorbers detected": share(is_first(r) for _, r in caught),
+        "the same without audiences": share(is_first(r) for _, r in walls),
+        "by chance": over(np.mean, [1 / r["n_surfaces"] for _, r in caught]),
+        "right surface among the candidates": share(
             r["true_surface"] in r["likely"] for _, r in caught
         ),
-        "candidates, mean": over(np.mean, (len(r["likely"]) for _, r in caught)),
-        "a single surface is claimed": portion(r["surface"] is not None for _, r in caught),
-        "a single surface claimed: right": portion(
+        "candidates, mean": over(np.mean, [len(r["likely"]) for _, r in caught]),
+        "a single surface is claimed": share(r["surface"] is not None for _, r in caught),
+        "a single surface claimed: right": share(
             r["surface"] == r["true_surface"] for r in claimed
         ),
-        "size in its 90 % interval": portion(
+        "size in its 90 % interval": share(
             low <= size <= high for size, (_, low, high) in sized if low is not None
         ),
     }
 
 
+def is_first(row: Row) -> bool:
+    """Return whether the true surface is the most probable one."""
+    table = row["surfaces"]
+    return (max(table, key=lambda name: table[name]) if table else None) == row["true_surface"]
+
+
 def gaps(rows: Rows) -> dict[str, Line]:
     """Return how the gap at held-out pairs shrinks where the effect changes T by over 10 %."""
-    large = [(t, r) for t, r in rows.only(HIDDEN) if t["effect_on_t"] > LARGE]
+    large = [r for t, r in rows.only(HIDDEN) if t["effect_on_t"] > LARGE and r.get("gaps")]
     out: dict[str, Line] = {}
-    tried = [r for _, r in large if r.get("gaps")]
     for key, words in (("gaps", ""), ("gaps_heard", ", to what is heard")):
-        ratios = [r[key]["corrected"] / r[key]["plain"] for r in tried]
+        ratios = [r[key]["corrected"] / r[key]["plain"] for r in large]
         out[f"gap corrected / plain, median{words}"] = over(np.median, ratios)
-        out[f"rooms in which it shrinks{words}"] = portion(x < 1 for x in ratios)
+        out[f"rooms in which it shrinks{words}"] = share(x < 1 for x in ratios)
         for which in MODELS:
-            out[f"gap {which}, JND{words}"] = over(np.mean, (r[key][which] for r in tried))
+            out[f"gap {which}, JND{words}"] = over(np.mean, [r[key][which] for r in large])
     return out
 
 
-def is_first(row: dict[str, Any]) -> bool:
-    return first(row) == row["true_surface"]
-
-
-def first(row: dict[str, Any]) -> str | None:
-    """Return the most probable surface."""
-    table = row["surfaces"]
-    return max(table, key=lambda name: table[name]) if table else None
-
-
 def summary(
-    found: Iterable[dict[str, Any]], means: Iterable[dict[str, Any]], population: int, data: str
+    found: Iterable[Row], means: Iterable[Row], population: int, data: str
 ) -> dict[str, Line]:
     """Return every figure of one kind of data by its name; those of the means begin with "means: ".
 
@@ -175,53 +164,40 @@ def summary(
     """
     rows, others = Rows(found, population, data), Rows(means, population, data)
     out = {**common(rows), **places(rows), **gaps(rows)}
-    seconds = [r["processor"] for _, r in rows.all]
-    out["processor time, s, median"] = over(np.median, seconds)
+    out["processor time, s, median"] = over(np.median, [r["processor"] for _, r in rows.all])
     of_means = {id(t): r for t, r in others.all}
     both = [(t, r, of_means[id(t)]) for t, r in rows.all if id(t) in of_means]
-    others.all = [(t, r) for t, _, r in both]
+    others.all = [(t, m) for t, _, m in both]
     out |= {f"means: {name}": line for name, line in common(others).items()}
     gained = [
         float(r["verdict"] in FLAGS) - float(m["verdict"] in FLAGS)
         for t, r, m in both
         if t["kind"] in HIDDEN
     ]
-    out["detected more than by means"] = over(np.mean, gained)
-    return out
-
-
-def asked(data: str) -> dict[str, tuple[float, float]]:
-    """Return the limits of issue 22, the lowest and the highest figure that meets it, by name."""
-    return {
-        "flagged with nothing hidden": (0, 0.05),
-        "detected more than by means": (0.12, 1),
-        "right family, of the detected": (0.85, 1),
-        "right surface, of absorbers detected": (0.75 if data == "level" else 0.6, 1),
-        "right surface among the candidates": (0.85, 1),
-        "candidates, mean": (1, 2),
-        "a single surface claimed: right": (0.9, 1),
-        "gap corrected / plain, median": (0, 0.7),
-        "rooms in which it shrinks": (0.85, 1),
-    }
+    return out | {"detected more than by means": over(np.mean, gained)}
 
 
 def print_confusion(rows: Rows) -> None:
+    """Print what was hidden against the most probable effect."""
     print("rows: hidden; columns: the most probable effect where flagged; '-' not flagged")
-    flagged = [effect_of(r) for _, r in rows.all if r["verdict"] in FLAGS]
-    names = [n for n in dict.fromkeys([*HIDDEN, *flagged]) if n in flagged]
+    count = Counter(
+        (t["kind"], effect_of(r) if r["verdict"] in FLAGS else "-") for t, r in rows.all
+    )
+    seen = dict.fromkeys([*HIDDEN, *(effect for _, effect in count)])
+    names = [n for n in seen if n != "-" and any(effect == n for _, effect in count)]
     print(f"{'':16}{'-':>4}" + "".join(f"{n[:8]:>9}" for n in names))
     for kind in (*HIDDEN, EMPTY):
-        chosen = [r for _, r in rows.only((kind,))]
-        count = Counter(effect_of(r) if r["verdict"] in FLAGS else "-" for r in chosen)
-        if chosen:
-            print(f"{kind:16}{count['-']:4}" + "".join(f"{count[n] or '.':>9}" for n in names))
+        if rows.only((kind,)):
+            cells = "".join(f"{count[kind, n] or '.':>9}" for n in names)
+            print(f"{kind:16}{count[kind, '-']:4}{cells}")
 
 
-def effect_of(row: dict[str, Any]) -> str:
+def effect_of(row: Row) -> str:
+    """Return the most probable effect."""
     return str((row.get("best") or {}).get("effect") or row["effect"])
 
 
-def table(found: list[dict[str, Any]], means: list[dict[str, Any]], population: int) -> None:
+def table(found: list[Row], means: list[Row], population: int) -> None:
     """Print every line with its 95 % interval, and what was asked of it."""
     for data, words in DATA.items():
         rows, limits = Rows(found, population, data), asked(data)
@@ -229,10 +205,10 @@ def table(found: list[dict[str, Any]], means: list[dict[str, Any]], population: 
         for name, (value, low, high, n) in summary(found, means, population, data).items():
             if n == 0:
                 continue
-            print(f"{name:46}{value:7.3f}  [{low:.3f}, {high:.3f}] of {n:<4}", end="")
+            line = f"{name:46}{value:7.3f}  [{low:.3f}, {high:.3f}] of {n:<4}"
             if name in limits:
                 least, most = limits[name]
                 met = "met" if least <= value <= most else "not met"
-                print(f" asked {least:g} to {most:g}: {met}", end="")
-            print()
+                line += f" asked {least:g} to {most:g}: {met}"
+            print(line)
         print_confusion(rows)

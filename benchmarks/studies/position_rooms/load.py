@@ -8,7 +8,7 @@ Even rooms are boxes of six surfaces, odd ones polyhedra of 10 to 30, each of a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -41,6 +41,41 @@ class PositionRoom:
     receivers: dict[str, np.ndarray]
     measured: Measurement
 
+    @classmethod
+    def of(
+        cls, name: str, data: files.Row, names: list[str], alpha: np.ndarray, sigma: np.ndarray
+    ) -> PositionRoom:
+        """Return the room of what is stored, with its materials' names and coefficients."""
+        stated = data["stated"]
+        geometry = Polyhedron(
+            vertices=np.array(stated["vertices"]),
+            faces=stated["faces"],
+            materials=stated.get("materials", names),
+        )
+        room = rt.Room(
+            name=name,
+            volume=geometry.volume,
+            materials=names,
+            areas=[geometry.areas[m] for m in names],
+            alpha=alpha,
+            sigma=sigma,
+            centre_frequencies=stated["bands"],
+            air=rt.Air(temperature=stated["air"][0], humidity=stated["air"][1]),
+            scattering=np.full(alpha.shape, SCATTERING),
+        )
+        return cls(
+            room,
+            geometry,
+            dict(zip(SOURCES, np.array(stated["sources"]), strict=True)),
+            dict(zip(RECEIVERS, np.array(stated["receivers"]), strict=True)),
+            as_measurement(stated["bands"], data["measured"]),
+        )
+
+    def without_level(self) -> Measurement:
+        """Return the measurement without G."""
+        values = {p: v for p, v in self.measured.values.items() if p != "g"}
+        return replace(self.measured, values=values)
+
     def simulator(self, receivers: Sequence[str] = RECEIVERS, **options: Any) -> PathTracing:
         """Return a path tracer with these receivers."""
         return PathTracing(
@@ -53,7 +88,7 @@ class PositionRoom:
 
 
 @lru_cache(maxsize=4)
-def stored(population: int, part: str) -> dict[int, dict[str, Any]]:
+def stored(population: int, part: str) -> dict[int, files.Row]:
     return files.numbered("position_rooms", population, part)
 
 
@@ -68,30 +103,11 @@ def as_measurement(bands: Any, values: dict[str, Any]) -> Measurement:
 def load(population: int, index: int, prior: str) -> PositionRoom:
     """Return room ``index`` of a population with its "wide" or "narrow" prior."""
     data = stored(population, "rooms")[index]
-    stated = data["stated"]
-    materials = [f"surface {i + 1}" for i in range(len(stated["faces"]))]
-    alpha = np.array(stated["alpha"])
-    geometry = Polyhedron(
-        vertices=np.array(stated["vertices"]), faces=stated["faces"], materials=materials
-    )
-    room = rt.Room(
-        name=f"position room {population}.{index}",
-        volume=geometry.volume,
-        materials=materials,
-        areas=geometry.face_areas,
-        alpha=alpha,
-        sigma=sigma_of(prior, alpha),
-        centre_frequencies=stated["bands"],
-        air=rt.Air(temperature=stated["air"][0], humidity=stated["air"][1]),
-        scattering=np.full(alpha.shape, SCATTERING),
-    )
-    return PositionRoom(
-        room,
-        geometry,
-        dict(zip(SOURCES, np.array(stated["sources"]), strict=True)),
-        dict(zip(RECEIVERS, np.array(stated["receivers"]), strict=True)),
-        as_measurement(stated["bands"], data["measured"][prior]),
-    )
+    alpha = np.array(data["stated"]["alpha"])
+    names = [f"surface {i + 1}" for i in range(len(alpha))]
+    of_prior = {**data, "measured": data["measured"][prior]}
+    name = f"position room {population}.{index}"
+    return PositionRoom.of(name, of_prior, names, alpha, sigma_of(prior, alpha))
 
 
 def true_alpha(population: int, index: int, prior: str) -> np.ndarray:
