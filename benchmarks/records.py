@@ -19,7 +19,7 @@ from typing import Any
 
 from benchmarks.studies.geometric_world.load import EMPTY
 from benchmarks.studies.means import judged, real_rooms, several_effects
-from benchmarks.studies.means.judging import FLAGS, UNKNOWN
+from benchmarks.studies.means.judging import FLAGS
 from benchmarks.studies.means.real_cases import every_case
 from benchmarks.studies.pairs import where
 from benchmarks.studies.pairs.where_figures import (
@@ -31,11 +31,11 @@ from benchmarks.studies.pairs.where_figures import (
     is_first,
     right_families,
 )
-from benchmarks.studies.runs import counts as runs
+from benchmarks.studies.runs.counts import STORED as RUNS
+from benchmarks.studies.stored import rows
 from rtcal.finder import records
 
-ROOT = Path(__file__).parents[1]
-FILE = ROOT / "rtcal" / "finder" / records.FILE
+FILE = Path(__file__).parents[1] / "rtcal" / "finder" / records.FILE
 OF_STATEMENT = {
     records.IN_SITU: (where.IN_SITU, ("sixth", "seventh", "eighth", "ninth", "tenth")),
     records.HANDBOOK: (where.HANDBOOK, ("first",)),
@@ -47,34 +47,34 @@ Counts = tuple[int, int]
 """A number of rooms or claims, and of how many it is."""
 
 
-def of_means() -> dict[str, Any]:
-    """Return the counts of means over positions, by kind of data, in the rooms of both worlds."""
-    rows = judged.rows_of()
-    out = {}
-    for data, words in zip(judged.DATA, (records.TIMES, records.ALL), strict=True):
-        rooms = judged.judged(rows, data, judged.BOTH)
-        hidden = [r for r in rooms if not r.nothing and UNKNOWN not in r.truths]
-        claimed = {v: [r for r in rooms if r.row["verdict"] == v] for v in FLAGS[:3]}
-        out[words] = {
-            "detected": counted(r.flagged for r in hidden),
-            "flagged": counted(r.flagged for r in rooms if r.nothing),
-            "right": {v: counted(r.truth_in_set for r in some) for v, some in claimed.items()},
-        }
-    return out
+def counted(hits: Iterable[bool]) -> Counts:
+    table = list(hits)
+    return sum(table), len(table)
+
+
+def of_means(data: str) -> dict[str, Any]:
+    """Return the counts of means over positions with one kind of data, in the rooms of both worlds."""
+    rooms = judged.judged(judged.rows_of(), data, judged.BOTH)
+    return {
+        "detected": counted(r.flagged for r in rooms if r.hidden),
+        "flagged": counted(r.flagged for r in rooms if r.nothing),
+        "right": {
+            v: counted(r.truth_in_set for r in rooms if r.row["verdict"] == v) for v in FLAGS[:3]
+        },
+    }
 
 
 def of_runs() -> dict[str, Any]:
     """Return the counts of means beside another program's, in rooms that a third simulator gave."""
-    rows = runs.stored()
-    found = [(r["with"], bool(r["hidden"])) for r in rows]
-    some, none = ([w["verdict"] in runs.FOUND for w, h in found if h == k] for k in (True, False))
+    found = [(r["with"], bool(r["hidden"])) for r in rows(RUNS)]
+    some, none = (counted(w["verdict"] in FLAGS for w, h in found if h == k) for k in (True, False))
     right = {
         v: counted(
             w["right"] if w["family"] else w["in_set"] for w, _ in found if w["verdict"] == v
         )
         for v in FLAGS[:3]
     }
-    return {"detected": counted(some), "flagged": counted(none), "right": right}
+    return {"detected": some, "flagged": none, "right": right}
 
 
 def of_several() -> dict[str, Counts]:
@@ -89,16 +89,11 @@ def of_several() -> dict[str, Counts]:
 
 def of_measured() -> dict[str, int]:
     """Return the judging cases in measured rooms, the names and families claimed, and wrong ones."""
-    rows = real_rooms.rows_of(None)
-    judged = [c for c in every_case() if c.part == "judging" and c.name in rows]
-    claims = [c for c in judged if rows[c.name]["verdict"] in FLAGS[:2]]
-    wrong = sum(real_rooms.outcome(c, rows[c.name]) == "wrong" for c in claims)
-    return {"cases": len(judged), "claims": len(claims), "wrong": wrong}
-
-
-def counted(hits: Iterable[bool]) -> Counts:
-    table = list(hits)
-    return sum(table), len(table)
+    found = real_rooms.rows_of(None)
+    cases = [c for c in every_case() if c.part == "judging" and c.name in found]
+    claims = [c for c in cases if found[c.name]["verdict"] in FLAGS[:2]]
+    wrong = sum(real_rooms.outcome(c, found[c.name]) == "wrong" for c in claims)
+    return {"cases": len(cases), "claims": len(claims), "wrong": wrong}
 
 
 def of_positions(statement: str, data: str) -> dict[str, Any]:
@@ -124,11 +119,12 @@ def of_positions(statement: str, data: str) -> dict[str, Any]:
     }
 
 
-def counts() -> dict[str, Any]:
-    """Return the contents of the file."""
+def text() -> str:
+    """Return the file's text."""
+    of_data = zip(judged.DATA, (records.TIMES, records.ALL), strict=True)
     words = dict(zip(DATA, (records.WITHOUT_LEVEL, records.WITH_LEVEL), strict=True))
-    return {
-        "means": {**of_means(), records.RUN: of_runs()},
+    counts = {
+        "means": {**{name: of_means(data) for data, name in of_data}, records.RUN: of_runs()},
         "several": of_several(),
         "measured": of_measured(),
         "positions": {
@@ -136,11 +132,7 @@ def counts() -> dict[str, Any]:
             for statement in OF_STATEMENT
         },
     }
-
-
-def text() -> str:
-    """Return the file's text."""
-    return json.dumps(counts(), indent=1) + "\n"
+    return json.dumps(counts, indent=1) + "\n"
 
 
 if __name__ == "__main__":

@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.studies.means.judging import calibration_error, interval
+from benchmarks.studies.means.judging import calibration_error
 from benchmarks.studies.means.real_cases import RealCase
 from benchmarks.studies.means.real_rooms import outcome
+from benchmarks.studies.rates import share
 
 
 def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:
@@ -18,10 +19,10 @@ def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:
 
 def test_the_interval_of_a_share_is_clopper_s_and_pearson_s() -> None:
     # 0 of n: 1 - 0.025^(1/n); the other ends mirror it.
-    assert interval(0, 30) == pytest.approx((0.0, 1 - 0.025 ** (1 / 30)))
-    assert interval(30, 30) == pytest.approx((0.025 ** (1 / 30), 1.0))
-    low, high = interval(5, 10)
-    assert (low, high) == pytest.approx((0.187, 0.813), abs=5e-4)  # a printed table's
+    assert share([False] * 30) == pytest.approx((0.0, 0.0, 1 - 0.025 ** (1 / 30), 30))
+    assert share([True] * 30) == pytest.approx((1.0, 0.025 ** (1 / 30), 1.0, 30))
+    # A printed table's.
+    assert share([True, False] * 5) == pytest.approx((0.5, 0.187, 0.813, 10), abs=5e-4)
 
 
 def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
@@ -49,5 +50,5 @@ def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
     ],
 )
 def test_what_counts_as_right(names: set[str], said: dict[str, Any], wanted: str) -> None:
-    case = RealCase("x", "judging", "y", frozenset(names), lambda _: None)  # type: ignore[arg-type,return-value]
+    case = RealCase("x", "judging", "y", frozenset(names), lambda: None)  # type: ignore[arg-type,return-value]
     assert outcome(case, said) == wanted

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks.studies.hidden_world import populations as first_world
 from benchmarks.studies.means.judged import read
 from rtcal.finder import Case, control_rooms
 from rtcal.finder.claim import too_weak
@@ -21,7 +20,8 @@ from tests.conftest import also, in_order
 
 SEEDS = range(8)
 POPULATION = 57
-ROOMS = [(1, kind) for kind in (0, 1, 3, 5, 8, 11)]
+KINDS = (0, 1, 3, 5, 8, 11)
+ROOMS = [(1, kind) for kind in KINDS]
 ROOMS += [(2, kind) for kind in ("nothing", "air", "furniture", "membrane")]
 
 
@@ -39,7 +39,7 @@ def orders(case: Case) -> list[list[int]]:
 def drawn(world: int, kind: Any) -> Case:
     """A room of the first world, or the first of its kind that is stored of the second."""
     if world == 1:
-        return Case.from_dict(first_world.build(POPULATION, kind, 0)["case"])
+        return Case.from_dict(read(1, POPULATION, "case")[KINDS.index(kind)])
     index = next(i for i, t in enumerate(read(2, 0, "truth")) if t["kind"] == kind)
     return Case.from_dict(read(2, 0, "case")[index])
 

@@ -163,7 +163,7 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
             "rtcal verify gap",
         ),
     ),
-    # Two cases that `benchmarks/studies/means/shipped_cases.py` drew: one is identified, one is not.
+    # Two cases, one identified and one not: `benchmarks/studies/means/README.md` has their rule.
     "identified": (
         {
             "identified.json": "hidden_room/identified.json",
@@ -180,8 +180,7 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
             "rtcal apply page --effect curtain --out corrected",
         ),
     ),
-    # A room whose ceiling was covered, simulated by pyroomacoustics:
-    # `benchmarks/studies/pairs/seminar_room.py`.
+    # A room whose ceiling was covered, simulated by pyroomacoustics (`benchmarks/studies/pairs`).
     "diagnose": (
         {name: f"seminar_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
         ("rtcal diagnose room.toml pairs.csv --out diagnosis",),
