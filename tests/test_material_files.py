@@ -62,9 +62,7 @@ def test_fractions_in_a_list_of_percents_are_refused(tmp_path: Path) -> None:
     for name in ("wall", "desk"):
         with pytest.raises(DataError, match=r"line 1: .*is at most 1 %") as refused:
             listed.room(name="hall", volume=1000, areas={name: 700.0})
-    assert '"wall = <0.02 0.02 0.03 0.03 0.04 0.05>"' in str(refused.value)
     assert 'write "ABS1 wall = <0.02 0.02 0.03 0.03 0.04 0.05>" if the' in str(refused.value)
-    assert '"ABS1 wall = <0.0002 0.0002 0.0003 0.0003 0.0004 0.0005>" if' in str(refused.value)
     areas = dict.fromkeys(("marble", "door", "hard", "felt"), 100.0)
     room = listed.room(name="hall", volume=1000, areas=areas)
     assert room.alpha[:, 0].tolist() == [0.01, 0.1, 0.0, 0.01]
@@ -81,23 +79,6 @@ def test_decimals_can_be_stated(tmp_path: Path) -> None:
     )
     with pytest.raises(DataError, match="decimals = 1 must be from 2 to 15"):
         catt.write(room, path, decimals=1)
-    library = tmp_path / "hall.Li8"
-    library.write_bytes(b"1 wall\n.02 0.02 0.02 0.02 0.02 0.02 0.02 0.02\n")
-    room = odeon.read(library).room(name="hall", volume=1000, areas={"1 wall": 700.0})
-    odeon.write(room.replace(alpha=np.full((1, 8), 0.0376)), library, decimals=3)
-    assert library.read_bytes() == b"1 wall\n" + b" ".join([b"0.038"] * 8) + b"\n"
-
-
-def test_catt_constructs() -> None:
-    listed = catt.parse(fuzz.CATT[0])
-    assert listed.names == ("wood", "audience", "drape", "panel")
-    assert listed.materials[1].scattering == (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
-    assert listed.materials[2].alpha[1] == 0.045
-    assert listed.materials[2].centre_frequencies[-1] == 16000
-    assert listed.materials[3].alpha[0] == 0.28
-    assert len(listed.materials[3].alpha) == 7
-    assert dict(listed.aliases) == {"floorabs": "wood"}
-    assert catt.parse(fuzz.CATT[1]).names == ("panelwalls", "béton")
 
 
 def octave_room(**changes: Any) -> rt.Room:
@@ -151,17 +132,8 @@ def test_thirds_are_written_as_their_mean(is_new: bool, tmp_path: Path) -> None:
 
 def test_octaves_are_written_into_each_of_their_thirds(tmp_path: Path) -> None:
     path = tmp_path / "wall.csv"
-    path.write_bytes(b"material,400,500,630,800\nwall,.1,.2,.3,.4\n")
+    path.write_bytes(b"material,400,500,630,800\nwall,.1,.2,.3,.4\nfelt,.1,.2,.3,.4\n")
     room = octave_room(materials=["wall", "felt"])
-    room = rt.Room(
-        name="",
-        volume=9,
-        materials=["wall"],
-        areas=[9],
-        alpha=room.alpha[:1],
-        sigma=room.sigma[:1],
-        centre_frequencies=room.centre_frequencies,
-    )
     bras.write(room, path)
     expected = [round(a, 3) for a in (*[room.alpha[0, 3]] * 3, room.alpha[0, 4])]
     assert bras.read(path).materials[0].alpha == pytest.approx(expected)
@@ -182,15 +154,6 @@ def test_pyroomacoustics_takes_the_dictionaries() -> None:
     assert listed.with_room(listed.room(name="", volume=1, areas={names[0]: 1.0}))[0] == (
         database.read_bytes()
     )
-
-
-def test_bras_table_of_the_benchmark(shared_data: Path) -> None:
-    path = shared_data / "bras" / "absorption_third_octave.csv"
-    listed = bras.read(path, where={"room": "CR2", "set": "initial"})
-    ceiling = next(m for m in listed.materials if m.name == "ceiling")
-    assert ceiling.alpha[:3] == (0.069, 0.055, 0.04)
-    room = listed.room(name="CR2", volume=146.1, areas=dict.fromkeys(listed.names, 40.0))
-    assert listed.with_room(room)[0] == path.read_bytes()
 
 
 LEGAL = st.text(st.characters(exclude_categories=("C", "Z"), include_characters=" ;"), min_size=1)
@@ -224,18 +187,17 @@ def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
     assert path.read_bytes() == b"not a list of materials\n"
     with pytest.raises(DataError, match="without spaces"):
         catt.write(octave_room(), tmp_path / "new.geo", entries={"7 felt": "my felt"})
-    low = rt.Room(
-        name="",
-        volume=9,
-        materials=["a"],
-        areas=[9],
-        alpha=[[0.1]],
-        sigma=[[0.1]],
-        centre_frequencies=[500],
-    )
+    low = octave_room(materials=["a", "b"]).in_bands([500.0])
     for module in (catt, odeon):
         with pytest.raises(DataError, match="which the room does not have"):
             module.write(low, tmp_path / "new")
     assert sorted(p.name for p in tmp_path.iterdir() if not p.name.startswith(".rtcal_files")) == [
         "hall.geo"
     ]
+
+
+def test_a_bras_table_is_read_where_its_columns_say(tmp_path: Path) -> None:
+    path = tmp_path / "walls.csv"
+    path.write_bytes(b"room,material,500\nCR2,wall,.1\nCR3,wall,.2\n")
+    (wall,) = bras.read(path, where={"room": "CR3"}).materials
+    assert wall.alpha == (0.2,)

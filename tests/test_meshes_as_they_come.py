@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
 
 import rtcal as rt
 from benchmarks import defective_meshes
@@ -77,43 +76,7 @@ SINGLE: dict[str, Any] = {
 }
 GLASS, PANEL, FIN = ((name, SINGLE[name]) for name in ("glass", "panel", "fin"))
 
-MEANT = """
-# drawn in the box (a block: material, two corners, sides that lack; or a face by its name) | areas that
-# are meant in m² | V in m³ | kinds of defects that are told or, with a minus, are not
- | plaster 276 | 280 |
-label | plaster 276 | 280 | outside
-glass, door | west 24, floor 70, glass 2, door 2 | 280 | overlay
-frame, glass | frame 8, glass 2, west 18 | 280 | overlay
-seats 2 2 1 4 4 2 | plaster 276, seats 16 | 276 | -contact
-seats 2 2 0.03 4 4 1 | plaster 276 | 276.12 | gap, -contact
-seats 2 2 0 4 4 1, desk 3 2.5 1 5 3.5 2 | plaster 272, seats 11, desk 9 | 274 | contact
-a 2 2 1 4 4 1.002, b 2 2 1.03 4 4 1.032 | plaster 276, a 8.016, b 8.016 | 279.984 | -contact
-seats 20 2 1 22 4 2 | plaster 276 | 280 | outside
-seats 9 2 1 11 4 2 | plaster 274, seats 8 | 278 | through
-seats 2 2 -0.3 3 3 4.3 | plaster 274, seats 16 | 276 | through
-seats 2 2 -0.3 3 3 4.3 ceiling | plaster 274, seats 16 | 276 | through
-seats -0.3 -0.2 -0.3 2 2 1 | plaster 268, seats 8 | 276 | through
-wall -0.3 -0.3 -0.3 10.3 7.3 4.3, seats 2 2 0 4 4 1 | plaster 272, seats 12 | 276 | outside
-core 1.5 1.5 0 8.5 5.5 4 | plaster 220, core 88 | 168 | contact
-stage 8 0 0 10 7 0.5 floor east south north | plaster 256.5, stage 17.5 | 273 | open bottom
-low 2 2 0 4 4 1, on 2 2 1 4 4 2, by 4 2 0 6 4 1 | plaster 268, low 6, on 12, by 10 | 268 | contact
-seats 0 0 0 10 7 1 | plaster 172, seats 70 | 210 | contact
-podium 2 2 0 6 6 0.5 floor, desk 6 3 0 7 4 1 floor \\
-  | plaster 259, podium 23.5, desk 4.5 | 271 | open bottom
-leg 2 2 0 2.1 4 0.5 floor ceiling, leg 3.9 2 0 4 4 0.5 floor ceiling, top, leg 2 2 0.5 4 4 0.6 floor \\
-  | plaster 275.6 | 279.4 | open bottom
-podium 2 2 0 8 5 0.4, seats 3 3 0.4 5 4 1 floor \\
-  | plaster 258, podium 23.2, seats 5.6 | 271.6 | open bottom
-podium 2 2 0 8 5 0.4 floor, seats 3 3 0.4 5 4 1 floor \\
-  | plaster 258, podium 23.2, seats 5.6 | 271.6 | open bottom
-seats 1 1 0 7 6 0.2 floor | plaster 246, seats 34.4 | 274 | open bottom
-seats 1 1 0 7 6 0.8 floor | plaster 246, seats 47.6 | 256 | open bottom
-seats 1 1 0 4 4 0.2 floor | plaster 267, seats 11.4 | 278.2 | open bottom
-seats 1 1 0 7 6 3 floor | plaster 246, seats 96 | 190 | open bottom
-seats 1 1 0 2 2 3 floor | plaster 275, seats 13 | 277 | open bottom
-lamp 2 3 2 3 4 3, desk 0 0 0 2 1 1 west | plaster 271, desk 5, lamp 6 | 277 | open bottom
-seats 1 1 0 7 6 0.04 floor | plaster 246, seats 30.88 | 278.8 | open bottom
-"""
+MEANT = (Path(__file__).parent / "meshes" / "meant.txt").read_text("utf-8")
 
 
 def in_box(text: str) -> Drawn:
@@ -127,9 +90,7 @@ def in_box(text: str) -> Drawn:
     return drawn
 
 
-@pytest.mark.parametrize(
-    "row", [r for r in MEANT.replace("\\\n", "").splitlines() if r and not r.startswith("#")]
-)
+@pytest.mark.parametrize("row", [r for r in MEANT.splitlines() if not r.startswith("#")])
 def test_a_room_has_the_areas_and_the_volume_that_are_meant(row: str) -> None:
     drawn, areas, volume, told = (cell.strip() for cell in row.split("|"))
     done = mended(in_box(drawn))
@@ -156,28 +117,12 @@ def test_what_is_drawn_twice_as_a_whole_is_taken_once(triangles: bool) -> None:
 REFUSED: dict[str, tuple[Drawn, dict[str, float], str]] = {
     "no face": ([], {}, "the mesh has no face"),
     "a sheet": ([("x", np.eye(3))], {}, "the faces do not enclose a volume"),
-    "slivers": (
-        [("x", np.eye(3) * 1e-3)],
-        {},
-        r"weld distance of 10 mm: as read, the mesh is 1\.7 mm across\. Give a larger --unit",
-    ),
-    "not finite": (
-        [("x", np.full((3, 3), np.nan))],
-        {},
-        "a corner has a coordinate that is not finite",
-    ),
+    "slivers": ([("x", np.eye(3) * 1e-3)], {}, r"weld distance of 10 mm: as read, the mesh"),
+    "not finite": ([("x", np.full((3, 3), np.nan))], {}, "a corner has a coordinate"),
     "a weld below 0": (walls(), {"weld": -1}, r"weld = -1 m must be finite and 0 or more"),
     "no largest hole": (walls(), {"largest_hole": np.nan}, "largest_hole = nan m² must be finite"),
-    "two rooms": (
-        PLASTER + block((10, 0, 0), (20, 7, 4)),
-        {},
-        "two closed rooms of .* share a wall",
-    ),
-    "a screen through the room": (
-        PLASTER + SCREEN,
-        {},
-        "delete that wall if they are one room",
-    ),
+    "two rooms": (PLASTER + block((10, 0, 0), (20, 7, 4)), {}, "two closed rooms"),
+    "a screen through the room": (PLASTER + SCREEN, {}, "delete that wall if they are one room"),
     "walls that are no shell beside a desk": (
         [("plaster", p[:3]) for _, p in PLASTER] + block((6, 2, 0), (8, 4, 1), "desk"),
         {},
@@ -189,11 +134,7 @@ REFUSED: dict[str, tuple[Drawn, dict[str, float], str]] = {
         r"hole of 70 m² at .* up to 2\.06 m² are closed automatically\. In your program, close the"
         r" hole with a face.*or use --hole 70\.7",
     ),
-    "two walls missing": (
-        walls("west", "east"),
-        {},
-        r"hole of 28 m² at .*; hole of 28 m² at .*; only holes up to",
-    ),
+    "two walls missing": (walls("west", "east"), {}, r"hole of 28 m² at .*; hole of 28 m²"),
 }
 
 
@@ -250,17 +191,6 @@ def test_a_closed_object_has_no_surface_where_it_stands(
     (contact,) = (d for d in done.defects if d.kind == "contact")
     assert contact.area == pytest.approx(covered, abs=rough)
     assert contact.area_effect == pytest.approx(-2 * covered, abs=2 * rough)
-
-
-@pytest.mark.parametrize("without", [(*FLOOR, "east"), FLOOR])
-@pytest.mark.parametrize("gap", [0.0, 0.003])
-def test_a_stage_that_is_open_to_the_floor_and_a_wall_takes_both(
-    without: tuple[str, ...], gap: float
-) -> None:
-    """It had been a panel with two sides: 14.5 m² too much of it, and 12.5 m² of the walls."""
-    done = mended(PLASTER + block((8, 1, gap), (10 - gap, 6, 0.5), "stage", without))
-    assert done.areas == pytest.approx({"plaster": S - 12.5, "stage": 14.5}, abs=0.05)
-    assert done.volume == pytest.approx(V - 5, abs=0.01)
 
 
 def test_what_is_uncertain_is_said() -> None:
@@ -346,16 +276,6 @@ def test_a_hole_that_no_option_closes_is_refused_without_one() -> None:
         mended(drawn, largest_hole=50)
 
 
-def test_what_a_mended_mesh_does_not_keep_is_printed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, out = obj(cornered((20, 7, 7), (18, 7, 8)), tmp_path / "a.obj"), tmp_path / "mended.obj"
-    said = said_by(capsys, "check", path, "--hole", 9.1, "--mended", out)
-    assert "The mended mesh does not keep the uncertainty." in said
-    assert "volume_sigma = 0.024, area_sigma = 0.031 of side and area_sigma = 0.025 of flat" in said
-    assert "does not keep" not in said_by(capsys, "check", out, "--mended", tmp_path / "again.obj")
-
-
 @pytest.mark.long
 def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
     """The benchmark has 200; these are others."""
@@ -389,103 +309,6 @@ def test_rays_determine_the_volume_of_rooms_without_a_wall() -> None:
 # -- formats
 
 
-def dxf(kind: str) -> str:
-    corners, sides = BOX.vertices * 1000, BOX.faces
-    rows = ["0", "SECTION", "2", "HEADER", "9", "$INSUNITS", "70", "4", "0", "ENDSEC"]
-    rows += ["0", "SECTION", "2", "ENTITIES", "0", "LINE", "8", "0"]
-
-    def point(p: np.ndarray, k: int = 0) -> list[str]:
-        return [s for axis in range(3) for s in (str(10 * (axis + 1) + k), str(p[axis]))]
-
-    if kind == "3DFACE":
-        for face in sides:
-            rows += ["0", "3DFACE", "8", "plaster"]
-            rows += [s for k, v in enumerate(face) for s in point(corners[v], k)]
-    elif kind == "POLYLINE":
-        rows += ["0", "POLYLINE", "8", "plaster", "70", "64"]
-        for corner in corners:
-            rows += ["0", "VERTEX", "8", "plaster", *point(corner), "70", "192"]
-        for face in sides:
-            rows += ["0", "VERTEX", "8", "plaster", "10", "0", "20", "0", "30", "0", "70", "128"]
-            rows += [s for k, v in enumerate(face) for s in (str(71 + k), str(v + 1))]
-        rows += ["0", "SEQEND"]
-    elif kind == "closed mesh":  # a ring of 4 x 2 corners, and two caps as faces
-        ring = [corners[BOX.faces[BOX.names.index("floor")][k]] for k in range(4)]
-        rows += ["0", "POLYLINE", "8", "plaster", "70", "17", "71", "4", "72", "2"]
-        for corner in ring:
-            for z in (0.0, 4000.0):
-                rows += [
-                    "0",
-                    "VERTEX",
-                    "8",
-                    "plaster",
-                    *point(np.array([*corner[:2], z])),
-                    "70",
-                    "64",
-                ]
-        rows += ["0", "SEQEND"]
-        for z in (0.0, 4000.0):
-            rows += ["0", "3DFACE", "8", "plaster"]
-            rows += [s for k, c in enumerate(ring) for s in point(np.array([*c[:2], z]), k)]
-    else:
-        rows += ["0", "MESH", "100", "AcDbEntity", "8", "plaster", "100", "AcDbSubDMesh"]
-        rows += ["92", str(len(corners))]
-        rows += [s for corner in corners for s in point(corner)]
-        rows += ["93", str(sum(len(f) + 1 for f in sides))]
-        rows += [s for face in sides for v in (len(face), *face) for s in ("90", str(v))]
-        rows += ["94", "0", "95", "0"]
-    return "\n".join([*rows, "0", "ENDSEC", "0", "EOF", ""])
-
-
-DAE = """<?xml version="1.0"?>
-<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
-<asset><unit meter="0.0254" name="inch"/><up_axis>{up}</up_axis></asset>
-<library_effects><effect id="e"><profile_COMMON><technique sid="c"><lambert/></technique>
-</profile_COMMON></effect></library_effects>
-<library_materials><material id="m" name="plaster"><instance_effect url="#e"/></material>
-</library_materials>
-<library_geometries><geometry id="g"><mesh>
-<source id="p"><float_array id="a" count="24">{corners}</float_array><technique_common>
-<accessor source="#a" count="8" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
-<param name="Z" type="float"/></accessor></technique_common></source>
-<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
-<triangles material="m" count="12"><input semantic="VERTEX" source="#v" offset="0"/>
-<p>{index}</p></triangles>
-</mesh></geometry></library_geometries>
-<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"><bind_material>
-<technique_common><instance_material symbol="m" target="#m"/></technique_common></bind_material>
-</instance_geometry></node></visual_scene></library_visual_scenes>
-<scene><instance_visual_scene url="#s"/></scene></COLLADA>
-"""
-
-
-PLY_OF_I_SIMPA = b"""ply
-format ascii 1.0
-element vertex 8
-property float x
-property float y
-property float z
-element face 6
-property list uchar int vertex_indices
-property int layer_id
-end_header
-0 0 0
-4 0 0
-4 5 0
-0 5 0
-0 0 3
-4 0 3
-4 5 3
-0 5 3
-4 3 2 1 0 0
-4 4 5 6 7 1
-4 0 1 5 4 2
-4 1 2 6 5 2
-4 2 3 7 6 2
-4 3 0 4 7 2
-"""
-
-
 def obj(drawn: Drawn, path: Path, groups: bool = False) -> Path:
     rows, count = [], 0
     for material, polygon in drawn:
@@ -495,69 +318,6 @@ def obj(drawn: Drawn, path: Path, groups: bool = False) -> Path:
         count += len(polygon)
     path.write_text("\n".join(rows) + "\n", encoding="utf-8")
     return path
-
-
-def written(folder: Path, ending: str) -> Path:
-    path = folder / f"room{ending}"
-    box = trimesh.creation.box(extents=(10, 7, 4))
-    if ending == ".dae":
-        corners = " ".join(map(str, (BOX.vertices / 0.0254).ravel()))
-        index = " ".join(str(f[k]) for f in BOX.faces for half in HALVES for k in half)
-        path.write_text(DAE.format(corners=corners, index=index, up="Z_UP"))
-    elif ending in (".glb", ".3mf"):
-        if ending == ".3mf":
-            box.apply_scale(1000)
-        box.visual = trimesh.visual.TextureVisuals(
-            material=trimesh.visual.material.PBRMaterial(name="plaster")
-        )
-        trimesh.Scene({"room": box}).export(path)
-    elif ending == ".dxf":
-        path.write_text(dxf("MESH"))
-    elif ending == ".obj":
-        obj([*walls(), GLASS, PANEL], path)
-    else:
-        box.export(path)
-    return path
-
-
-@pytest.mark.parametrize("ending", [".glb", ".dae", ".3mf", ".ply", ".stl", ".off"])
-def test_formats_that_libraries_read(tmp_path: Path, ending: str) -> None:
-    done = mesh.room(written(tmp_path, ending))
-    assert done.volume == pytest.approx(V, rel=1e-6)
-    named = "plaster" if ending in (".glb", ".dae") else "room"
-    assert done.areas == pytest.approx({named: S}, rel=1e-6)
-    height = np.ptp(done.geometry.vertices[:, 1 if ending == ".glb" else 2])
-    assert height == pytest.approx(4, rel=1e-6)  # of the glTF, whose y is up, it is y
-
-
-@pytest.mark.parametrize("kind", ["3DFACE", "POLYLINE", "MESH", "closed mesh"])
-def test_dxf(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / "room.dxf"
-    path.write_text(dxf(kind))
-    done = mesh.room(path)
-    assert done.volume == pytest.approx(V, rel=1e-9)
-    assert done.areas == pytest.approx({"plaster": S}, rel=1e-9)
-    assert done.notes == (
-        "the file's unit is 0.001 m",
-        "left out, because they are not faces: 1 LINE",
-    )
-    assert mesh.room(path, unit=0.01).volume == pytest.approx(1000 * V, rel=1e-9)
-
-
-def test_objects_of_3mf_and_layers_of_a_ply_are_materials(tmp_path: Path) -> None:
-    parts = {n: trimesh.Trimesh(1000 * np.array(p), HALVES, process=False) for n, p in walls()}
-    trimesh.Scene(parts).export(tmp_path / "room.3mf")
-    areas = dict(zip(BOX.names, BOX.face_areas, strict=True))
-    assert mesh.room(tmp_path / "room.3mf").areas == pytest.approx(areas, rel=1e-6)
-    path = tmp_path / "room.ply"
-    path.write_bytes(PLY_OF_I_SIMPA)
-    done = mesh.room(path)
-    assert done.volume == pytest.approx(60)
-    assert set(done.areas) == {"layer 0", "layer 1", "layer 2"}
-    groups = b"material_index\nelement material 3\nproperty list uchar uchar name\n"
-    names = b"3 111 97 107\n3 102 105 114\n4 98 101 101 99\n"
-    path.write_bytes(PLY_OF_I_SIMPA.replace(b"layer_id\n", groups) + names)
-    assert set(mesh.room(path).areas) == {"oak", "fir", "beec"}
 
 
 HEAD = b"0\nSECTION\n2\nENTITIES\n"
@@ -605,6 +365,8 @@ def test_check_needs_no_material_list(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "panel: 1 free panels are reflectors with two sides" in said
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert rt.io.obj.read(mended_obj).areas["glass"] == pytest.approx(2)
+    again = said_by(capsys, "check", mended_obj, "--mended", tmp_path / "again.obj")
+    assert "does not keep" not in again
     record = json.loads(said_by(capsys, "check", path, "--json"))
     assert record["volume"] == pytest.approx(V, rel=1e-3)
     assert [d["kind"] for d in record["defects"]] == ["overlay", "panel"]

@@ -143,17 +143,6 @@ def test_slopes_of_poles_are_their_derivatives():
         np.testing.assert_allclose(at.slopes[:, wall], change, rtol=2e-3, atol=0.05)
 
 
-def test_integrals_of_a_box():
-    """∫ p² dS over a wall across x is (2 or 1) / L_x: 2 where the mode varies along x."""
-    modes = box_modes(SIDES, SHOEBOX_WALLS, 60, C)
-    np.testing.assert_allclose(modes.frequencies[:2], [C / 2 / 5.2, C / 2 / 4.1])
-    diagonal = np.einsum("imm->im", modes.coupling)
-    np.testing.assert_allclose(diagonal[:, 0], np.array([2, 2, 1, 1, 1, 1]) / np.repeat(SIDES, 2))
-    corner = modes.shapes(np.array([[0, 0, 0], SIDES]))
-    np.testing.assert_allclose(corner[0, 0] ** 2, 2 / np.prod(SIDES))
-    np.testing.assert_allclose(corner[1, 0], -corner[0, 0])
-
-
 def test_modes_distinguish_the_pairs_of_walls():
     modes, t = heard(TRUTH), times(TRUTH)
     result = rt.calibrate_modes(ROOM, modes, t)
@@ -167,9 +156,8 @@ def test_modes_distinguish_the_pairs_of_walls():
     assert ((low <= result.alpha) & (result.alpha <= high)).all()
     assert (result.sigma[:, 0] < 0.08).all()
     assert result.sensitivity[0].argmax() < 2  # the first mode stands between west and east
-    assert (
-        next(b for b in result.blocks() if isinstance(b, Table)).rows[0].values[-1] == "west, east"
-    )
+    (first, *_) = next(b for b in result.blocks() if isinstance(b, Table)).rows
+    assert first.values[-1] == "west, east"
     assert result.carried[0]
     assert not result.carried[2]
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}
@@ -201,29 +189,11 @@ def test_modes_that_contradict_are_marked():
     modes, rng = heard(TRUTH), np.random.default_rng(0)
     good = rt.calibrate_modes(ROOM, modes)
     assert good.plausibility.p_value > 0.05
-    assert "with a probability of" in str(good)
     assert "implausible_modes" not in {m.kind for m in good.trust_marks}
     factor = np.where(rng.random(modes.decays.size) < 0.5, 1.8, 1 / 1.8)
     bad = rt.calibrate_modes(ROOM, replace(modes, decays=modes.decays * factor))
     assert bad.plausibility.p_value < 1e-6
     assert "implausible_modes" in {m.kind for m in bad.trust_marks}
-    place = good.used[3]
-    one = modes.decays * np.where(np.arange(modes.decays.size) == place, 1.8, 1)
-    sure = ROOM.replace(sigma=np.full((6, 3), 0.04))
-    marked = rt.calibrate_modes(sure, replace(modes, decays=one)).trust_marks
-    assert f"{modes.frequencies[place]:.1f} Hz contributes most" in marked[0].text
-
-
-@pytest.mark.long
-def test_misfit_is_chi_square():
-    """Coefficients are drawn from the prior, decays from their uncertainty."""
-    ps = []
-    for seed in range(12):
-        shift = np.random.default_rng(seed).standard_normal((6, 1))
-        modes = heard(np.clip(ROOM.alpha + 0.05 * shift, 0.01, 0.9), seed=seed)
-        result = rt.calibrate_modes(ROOM.replace(sigma=0.05 * np.ones((6, 3))), modes)
-        ps.append(result.plausibility.p_value)
-    assert min(ps) > 0.01
 
 
 def test_uncertainty_of_t_counts():
@@ -254,18 +224,6 @@ def test_random_frequencies_are_refused_or_doubted(seed):
     else:
         with pytest.raises(DataError, match="no better than chance"):
             rt.calibrate_modes(ROOM, random)
-
-
-@pytest.mark.long
-def test_frequencies_at_the_end_of_the_search_and_wrong_sides():
-    modes = heard(TRUTH)
-    assert not any("Doubtful" in note for note in rt.calibrate_modes(ROOM, modes).notes)
-    for factor in (1.06, 0.94):
-        with pytest.raises(DataError, match="more than rtcal searches"):
-            rt.calibrate_modes(ROOM, replace(modes, frequencies=factor * modes.frequencies))
-    for sides in (SIDES * [1.1, 1, 1], SIDES * [1, 1.1, 1], SIDES * [1, 1, 1.1]):
-        _, room = box_room(sides)
-        assert any("Doubtful" in note for note in rt.calibrate_modes(room, modes).notes)
 
 
 def test_coefficients_between_bands():
@@ -308,30 +266,6 @@ TWICE = ROOM.areas * np.array([1, 1, 2, 1, 1, 1])
 def test_what_does_not_fit_is_refused(call, place):
     with pytest.raises(DataError, match=place):
         call()
-
-
-@pytest.mark.parametrize(
-    ("table", "place"),
-    [
-        ("", "header"),
-        ("frequency,decay\n30,5\n", "u_decay"),
-        ("f / Hz;T60 (s)\n30;1\n", "u_T"),
-        ("f,T,T60,u_T\n30,1,1,0.1\n", '"T"'),
-        ("f,T,u_T\n30,nan,0.1\n", "line 2, column .T."),
-        ("f,T,u_T\n30,1,-0.1\n", "line 2, column .u_T."),
-        ("f,T,u_T\n34,1,1,33,0,05\n", "line 2"),
-        ("f;T;u_T\n34,1;1.33;0,05\n", "decimal"),
-        ("f / MHz,T,u_T\n34,1,0.1\n", "MHz"),
-        ("f,T,u_T\n30,1,0.1\n40,1,0.1\n30,1,0.1\n", "line 4, column .f."),
-        ("frequency,decay,T,u_T\n30,5,1,1\n", "decay"),
-        ("f,T,u_T\n30,x,0.1\n", "line 2"),
-    ],
-)
-def test_wrong_tables(tmp_path, table, place):
-    path = tmp_path / "modes.csv"
-    path.write_text(table)
-    with pytest.raises(DataError, match=place):
-        rt.modes.read(path)
 
 
 def test_result_is_saved_whole(tmp_path):

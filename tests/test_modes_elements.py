@@ -105,52 +105,6 @@ def test_the_l_shape_of_the_literature():
     assert abs(richardson) < 0.15 * abs(errors[1][0])
 
 
-@pytest.mark.long
-def test_two_refinements_converge():
-    room = slanted()
-    coarse, middle, fine = (modes_of(room, 80, spacing=h).frequencies[:5] for h in (1.4, 0.7, 0.35))
-    order = np.log2((coarse - middle) / (middle - fine))
-    assert (order > 2.5).all()  # 4 on nested meshes
-    assert (np.abs(middle / fine - 1) < 1e-3).all()
-
-
-@pytest.mark.long
-def test_ten_walls_and_a_cupboard():
-    """The constant pressure sees each wall's area; the cupboard is left out of the room's volume."""
-    coarse, fine = (modes_of(TEN_WALLS, 90, spacing=h) for h in (0.5, 0.3))
-    assert len(fine.materials) > 10
-    np.testing.assert_allclose(
-        fine.coupling[:, -1, -1], TEN_WALLS.face_areas / TEN_WALLS.volume, rtol=1e-6
-    )
-    n = fine.wanted
-    assert n >= 4
-    np.testing.assert_allclose(coarse.frequencies[:n], fine.frequencies[:n], rtol=5e-3)
-    with pytest.raises(DataError, match="outside the room's walls"):
-        fine.shapes(np.array([[2.0, 0.3, 0.5]]))
-
-
-@pytest.mark.long
-def test_furniture_lowers_the_first_mode():
-    empty = Polyhedron.shoebox((5, 4, 2.5), "plaster")
-    furnished, alone = modes_of(FURNISHED, 60, spacing=0.5), modes_of(empty, 60, spacing=0.5)
-    assert 0.005 < 1 - furnished.frequencies[0] / alone.frequencies[0] < 0.1
-
-
-def test_a_mesh_that_is_open_is_refused(tmp_path):
-    text = slanted().to_text().rstrip().rsplit("\n", 1)[0]
-    (tmp_path / "open.obj").write_text(text)
-    room = rt.Room.from_geometry(
-        slanted(),
-        name="open",
-        materials=[rt.Material(m, [0.1], [0.05]) for m in dict.fromkeys(slanted().materials)],
-        centre_frequencies=[63],
-        air=rt.Air(20, 50),
-    ).replace(scene=rt.Scene(mesh=str(tmp_path / "open.obj")))
-    heard = rt.modes.MeasuredModes(frequencies=[34.0], decays=[5.0], decay_uncertainty=[0.2])
-    with pytest.raises(DataError, match=r"open\.obj"):
-        rt.calibrate_modes(room, heard)
-
-
 def test_too_many_planes():
     with pytest.raises(ModelError, match="small objects"):
         fill(Polyhedron.shoebox((50, 50, 50), "plaster"), 0.5)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,12 +69,6 @@ def test_what_is_measured_already_says_the_noise_of_what_is_to_come() -> None:
     assert nothing.of(FIRST) == 0.0
 
 
-def test_hypotheses_of_one_set_cannot_be_distinguished() -> None:
-    about = Information(two(8.0), np.full(2, 0.5), np.zeros(2, dtype=int), FIRST)
-    assert about.entropy() == pytest.approx(0)
-    assert about.of(SECOND) == pytest.approx(0)
-
-
 def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> None:
     c = compared(*BOTH)
     further = possible(c.case)
@@ -104,8 +97,6 @@ def test_a_plan_proposes_the_most_information_per_hour_and_then_goes_on() -> Non
     dear = plan(case, costs=dict.fromkeys(COSTS, 1.0) | {before.proposals[0].kind: 1e6})
     assert dear.proposals[-1].kind == before.proposals[0].kind
     assert "per hour" in str(before)
-    assert str(before).count("\n") < 40
-    assert "nats" not in str(before)
     assert json.loads(json.dumps(before.to_dict(), allow_nan=False))["sequence"]
 
 
@@ -119,15 +110,6 @@ def test_a_plan_goes_on_from_a_finding() -> None:
     best = max(after.proposals, key=lambda p: p.information)
     assert best.kind in ("EDT and T30", "more positions", "G", "removed", "covered")
     assert after.uncertainty < plan(case).uncertainty
-
-
-@pytest.mark.long
-def test_a_planned_configuration_is_among_what_can_be_measured() -> None:
-    case = case_with(*BOTH)
-    bare = replace(case.configurations[0], name="bare", suspect_removed=True)
-    kinds = {str(p.measurement): p for p in plan(case, planned=[bare]).proposals}
-    same = next(p for p in kinds.values() if p.kind == "removed")
-    assert kinds['configuration "bare"'].information == pytest.approx(same.information, abs=0.1)
 
 
 def test_each_effect_that_cannot_be_taken_out_has_a_way_to_confirm_it() -> None:

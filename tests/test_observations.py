@@ -10,7 +10,6 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.observables import OBSERVABLES, gradients, observable, register
 from rtcal.datasets import halls
-from rtcal.io import tables
 from rtcal.simulators import (
     PathTracing,
     Polyhedron,
@@ -158,14 +157,6 @@ def registry():
     yield before
     OBSERVABLES.clear()
     OBSERVABLES.update(before)
-
-
-def test_an_observable_from_outside_is_a_header_by_its_label(registry):
-    kind = share(label="Clear share", spellings="")
-    assert type(OBSERVABLES[register(kind).key]) is kind
-    register(kind)  # as a notebook's cell does that is run again
-    table = tables.parse(b"Frequency,Clear share\n500,0.7\n1000,0.8\n").measurement
-    assert table.values["d50b"].tolist() == [[0.7, 0.8]]
 
 
 @pytest.mark.parametrize(

@@ -246,50 +246,6 @@ def test_a_hidden_source_arrives_by_its_first_reflection():
     assert energy[0] > 0
 
 
-def leaky_box(hole):
-    """Return the box with a square hole in its floor, ``hole`` m wide."""
-    closed = Polyhedron.shoebox((5, 7, 3), "wall")
-    strips = [
-        [(0, 0), (5, 0), (5, 3), (0, 3)],
-        [(0, 3 + hole), (5, 3 + hole), (5, 7), (0, 7)],
-        [(0, 3), (2, 3), (2, 3 + hole), (0, 3 + hole)],
-        [(2 + hole, 3), (5, 3), (5, 3 + hole), (2 + hole, 3 + hole)],
-    ]
-    floor = next(i for i, f in enumerate(closed.faces) if (closed.vertices[list(f), 2] == 0).all())
-    triangles = [
-        t for t, f in zip(closed.triangles, closed.triangle_faces, strict=True) if f != floor
-    ]
-    faces = [f for f in closed.triangle_faces if f != floor]
-    for strip in strips:
-        corners = np.array([(*c, 0.0) for c in strip])
-        triangles += [corners[[0, 2, 1]], corners[[0, 3, 2]]]
-        faces += [floor] * 2
-    leaky = object.__new__(Polyhedron)
-    for name, value in vars(closed).items():
-        object.__setattr__(leaky, name, value)
-    object.__setattr__(leaky, "triangles", np.array(triangles))
-    object.__setattr__(leaky, "triangle_faces", np.array(faces, dtype=closed.triangle_faces.dtype))
-    return leaky
-
-
-@pytest.mark.long
-def test_lost_paths_are_dropped_and_the_others_weigh_more():
-    # 0.0004 m² of 142 m²: a path of 1 s has 120 reflections, and 0.03 % of the paths are lost.
-    closed, leaky = (trace(g, SOURCE, RECEIVERS, 1.0, 1.0) for g in (BOX, leaky_box(0.02)))
-    assert closed.lost_share == 0
-    assert 0 < leaky.lost_share < 0.002
-    alpha, air = np.full((1, 1), 0.2), np.zeros(1)
-    whole, kept = (made.energy(alpha, air, BIN).mean(axis=0) for made in (closed, leaky))
-    # All other paths are those of the closed box, so that no time is quieter.
-    assert kept.sum() == pytest.approx(whole.sum(), rel=0.002)
-    assert TARGET.value(kept[0], 0.002) == pytest.approx(TARGET.value(whole[0], 0.002), rel=0.01)
-    energy, (gradient,) = leaky.gradient(0, alpha, air, BIN)
-    assert energy == pytest.approx(kept[0], rel=1e-12)
-    higher, lower = (leaky.energy(alpha + step, air, BIN).mean(axis=0)[0] for step in (1e-5, -1e-5))
-    slope = (higher - lower)[:, 0] / 2e-5
-    assert gradient[:, :, 0, 0] == pytest.approx(slope, rel=1e-5, abs=1e-7)
-
-
 def test_bad_input(diffuse):
     with pytest.raises(DataError, match="n_materials, n_bands"):
         diffuse.energy(np.zeros((2, 1)), np.zeros(1), BIN)
@@ -323,28 +279,6 @@ def test_one_sweep_changes_groups_of_faces_as_weighings_do():
         for other, energy in zip(changed, of_group, strict=True):
             weighed = made.energy(np.where(group[:, None], other, alpha), air, BIN).mean(axis=0)
             assert energy == pytest.approx(weighed, rel=1e-6, abs=1e-12)
-
-
-def test_thinned_paths_are_the_same_until_they_end():
-    """NumPy and the compiled loop end the same; those left would be there anyway."""
-    found = []
-    for loops in (kernels, reference):
-        with in_place_of(kernels, loops):
-            found.append(
-                trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2, thinned=THINNED)
-            )
-    whole = trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2)
-    for one, other in zip(found[0].batches[0], found[1].batches[0], strict=True):
-        assert (one.events == other.events).all()
-        assert one.weights == pytest.approx(other.weights, rel=1e-5)
-    for batch, full in zip(found[0].batches[0], whole.batches[0], strict=True):
-        ended = np.diff(batch.starts) < np.diff(full.starts)
-        # 256 paths of a batch: halved three times, until 32 are left.
-        assert ended.reshape(-1, 8)[:, 1:].all()
-        assert not ended[::8].any()
-        for path in range(256):
-            kept = batch.events[batch.starts[path] : batch.starts[path + 1]]
-            assert (kept == full.events[full.starts[path] :][: kept.size]).all()
 
 
 def test_thinned_paths_carry_the_energy_of_all():

@@ -115,30 +115,12 @@ def test_an_uncertain_number_widens_t() -> None:
     assert changes[1][2 + 2] == pytest.approx(0.2 * 30 * np.array([0.5, 1.2]))
 
 
-def test_files_go_round(tmp_path: Path) -> None:
-    whole = room(PERSONS, area_sigma={"floor": 0.1})
-    path = str(tmp_path / "room.toml")
-    whole.save(path)
-    again = Room.from_file(path)
-    assert again.to_text() == whole.to_text()
-    assert again.pieces == ("persons",)
-    assert again.area_sigma.tolist() == [0.1, 0, 0.05]
-    assert "[[object]]" in whole.to_text()
-    assert again.in_bands(F[1:]).pieces == ("persons",)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"number": 0}, r'object\["persons"\].number = 0'),
-        (
-            {"area_per_piece": [0.5, 36.0]},
-            r'alpha\["persons", 1000 Hz\] = 36 m² must be from 0 to',
-        ),
-        (
-            {"area_per_piece": [0.5, -1.0]},
-            "must be from 0 to 10 m², the absorption area of one piece",
-        ),
+        ({"area_per_piece": [0.5, 36.0]}, r'alpha\["persons", 1000 Hz\] = 36 m² must be from 0 to'),
+        ({"area_per_piece": [0.5, -1.0]}, "must be from 0 to 10 m², the absorption area of one"),
         ({"area_per_piece": [0.5]}, "1 value"),
         ({"number": 1e9}, r"number = 1e\+09 is too large: the pieces would absorb 1.2e\+09 m²"),
         ({"number": 190}, "would absorb 228 m², and the room's surfaces have 222 m²"),
@@ -160,9 +142,7 @@ def test_the_files_rule_gives_pieces_their_sigma() -> None:
     data = room().to_dict() | {
         "object": [{"name": "persons", "number": 30, "area_per_piece": [0.01, 3.0]}]
     }
-    with pytest.raises(
-        DataError, match=r'object "persons" has no sigma, and the file has no \[prior'
-    ):
+    with pytest.raises(DataError, match=r'object "persons" has no sigma, and the file'):
         Room.from_dict(data)
     made = Room.from_dict(data | {"prior": {"relative": 0.3, "minimum": 0.01}})
     assert made.sigma[2] == pytest.approx([0.01, 0.9])
@@ -187,10 +167,7 @@ def test_nobody_is_a_room_without_them() -> None:
         (Change(remove="persons", area=10), '"persons" has a number of pieces: give number'),
         (Change(remove="floor", number=10), '"floor" has an area in m²: give area'),
         (Change(remove="persons", number=31), 'number = 31 is more than the 30 of "persons"'),
-        (
-            Change(cover="persons", by="floor"),
-            "has a number of pieces and no surface; pieces can only be added or removed",
-        ),
+        (Change(cover="persons", by="floor"), "has a number of pieces and no surface; pieces"),
         (Change(open="persons"), "has a number of pieces and no surface"),
     ],
 )
@@ -310,10 +287,7 @@ def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
     whole = room(PERSONS)
     box = Polyhedron.shoebox((9, 7, 3), "floor")
     at = {"sources": {"S1": (1, 1, 1)}, "receivers": {"R1": (5, 5, 1)}}
-    with pytest.raises(
-        DataError,
-        match=r'a tracing takes only surfaces, but room "class" has the \[\[object\]\] "persons"',
-    ):
+    with pytest.raises(DataError, match=r'a tracing takes only surfaces, but room "class"'):
         PathTracing(geometry=box, room=whole, scattering=0.5, **at)
     with pytest.raises(DataError, match="an archive takes only surfaces"):
         learn([rt.calibrate(whole.replace(name=n), [1.0, 0.6]) for n in "ab"])
@@ -324,18 +298,6 @@ def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
         names = [m.name.split()[-1] for m in program.read(tmp_path / "list").materials]
         assert names == ["floor", "rest"]
         (tmp_path / "list").unlink()
-
-
-def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    room(PERSONS).save(str(tmp_path / "room.toml"))
-    rt.Measurement.from_values(F, t20=[1.0, 0.6]).save(str(tmp_path / "t.csv"))
-    (tmp_path / "variants.toml").write_text(VARIANTS)
-    path, t = tmp_path / "room.toml", tmp_path / "t.csv"
-    assert run("calibrate", path, t, "--out", tmp_path / "out") == 0
-    assert "persons" in capsys.readouterr().out
-    assert Room.from_file(str(tmp_path / "out" / "room.toml")).pieces == ("persons",)
-    assert run("predict", path, t, "--change", tmp_path / "variants.toml") == 0
-    assert "full" in capsys.readouterr().out
 
 
 TABLE = tomllib.loads(resources.files("rtcal.datasets").joinpath("pieces.toml").read_text("utf-8"))
@@ -417,44 +379,12 @@ def test_pieces_have_the_bands_of_their_values() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "piece"),
-    [
-        ("person", "person seated"),
-        ("persons", "person seated"),
-        ("chair", "wooden chair"),
-        ("Stuhl", "wooden chair"),
-        ("Sessel", "upholstered chair"),
-        ("Person Standing", "person standing"),
-    ],
-)
-def test_an_option_finds_what_the_list_finds(
-    name: str, piece: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    box = ["room", "--dimensions", "9,7,3", "--floor", "0.1", "--ceiling", "0.1", "--walls", "0.1"]
-    path = tmp_path / "room.toml"
-    assert run(*box, "--object", f"{name}=30", "--out", path) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert f"For {name} the catalogue's {piece} was taken" in said
-    made = Room.from_file(str(path))
-    assert made.pieces == (name,)
-    assert made.alpha[-1].tolist() == catalogue.piece(piece, 1, OCTAVES).area_per_piece
-    assert run("materials", name) == 0
-    assert piece in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
     ("said", "first"),
     [
         ("people", "person seated"),
         ("students", "pupil at a desk"),
-        ("student desk", "desk"),
-        ("pupil at a desk", "pupil at a desk"),
-        ("wooden chairs", "wooden chair"),
         ("padded chair", "upholstered chair"),
         ("theatre seats", "theatre seat"),
-        ("tables", "desk"),
-        ("cupboard", "filing cabinet"),
-        ("kids", "child in a kindergarten"),
         ("Musiker", "musician with instrument"),
         ("standing people", "person standing"),
     ],
@@ -472,17 +402,9 @@ def test_the_catalogue_is_listed_with_its_sources(capsys: pytest.CaptureFixture[
     assert all(each["source"] for each in (*whole["materials"], *whole["pieces"]))
     assert run("materials", "vinyl", "wooden chair") == 0
     said = capsys.readouterr().out
-    assert said.index("linoleum_on_concrete") < said.index(
-        "0.03 0.04 0.05 0.06 0.06 0.06  wooden chair"
-    )
-    flat = " ".join(said.split())
-    assert "2 per m² [Vorländer (2008), Appendix]" in flat
-    assert "copies of these tables, not from the works themselves" in flat
-    assert all(page in flat for page in catalogue.pages(["wooden chair"]))
-    assert run("materials", "vinyl", "--json") == 0
-    vinyl = json.loads(capsys.readouterr().out)
-    assert vinyl["pages"] == catalogue.pages([p["name"] for p in vinyl["pieces"]])
+    assert "linoleum_on_concrete" in said
     assert "carpet_thin" not in said
+    assert all(page in " ".join(said.split()) for page in catalogue.pages(["wooden chair"]))
     assert run("materials", "xyzzy") == 2
     assert 'no material like "xyzzy"' in capsys.readouterr().err
 
@@ -495,12 +417,8 @@ def test_a_box_has_the_pieces_of_its_options(
     path, bare = tmp_path / "room.toml", tmp_path / "bare.toml"
     chairs = ["--object", "wooden chair=30", "--object", "person standing=2"]
     assert run(*box, *chairs, "--out", path) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "30 × wooden chair" in said
-    assert (
-        "the area per wooden chair: wooden chairs without cushion, empty, 2 per m² [Vorländer"
-        in said
-    )
+    assert run(*box, "--object", "Stuhl=30", "--out", tmp_path / "chairs.toml") == 0
+    assert "catalogue's wooden chair was taken" in " ".join(capsys.readouterr().out.split())
     assert run(*box, "--out", bare, "-q") == 0
     made, without = Room.from_file(str(path)), Room.from_file(str(bare))
     assert made.pieces == ("wooden chair", "person standing")
@@ -509,11 +427,9 @@ def test_a_box_has_the_pieces_of_its_options(
     one = [rows_of(name).mean(axis=0).round(4) for name in made.pieces]
     assert added == pytest.approx(30 * one[0] + 2 * one[1])
     for wrong, words in (
-        ("bed=2", "own values go into the room's file, as [[object]]"),
         ("sofa=2", 'no piece like "sofa". The nearest names are upholstered chair, theatre seat'),
         ("wooden chair", "must have the form NAME=NUMBER"),
         ("wooden chair=1e9", 'wooden chair" = 1e+09 is too large'),
-        ("wooden chair=0", 'wooden chair" = 0 must'),
     ):
         assert run(*box, "--object", wrong, "--out", tmp_path / "x.toml") == 2
         assert words in capsys.readouterr().err
@@ -640,19 +556,13 @@ def test_a_search_by_positions_names_the_one_by_means() -> None:
         rt.find(whole, pairs)
 
 
-def test_printed_results_keep_pieces_apart() -> None:
+def test_what_is_printed_keeps_pieces_apart(tmp_path: Path, capsys) -> None:
     result = rt.calibrate(room(PERSONS), [1.0, 0.6])
-    said = " ".join(str(result).split())
-    assert "222 m² of surfaces" in said
-    alpha, pieces = said.split("Calibrated absorption area of one piece / m²")
-    assert "persons" not in alpha.split("Calibrated alpha")[1].split("Share")[0]
-    assert "persons" in pieces
-    for rows in share_rows(result.to_dict()), share_rows(rt.calibrate(*bras()).to_dict()):
-        assert np.sum([row.values for row in rows], axis=0) == pytest.approx(100)
-    shares = re.findall(r"(\d+) % \(", said.split("Share of absorption")[1])
-    assert sum(map(int, shares)) == 100
+    assert np.sum([row.values for row in share_rows(result.to_dict())], axis=0) == pytest.approx(
+        100
+    )
     assert "areas of 222 m² in all" in " ".join(assumed(result))
-
-
-def bras() -> tuple[Room, rt.Measurement]:
-    return rt.datasets.bras_cr2()
+    result.save(tmp_path / "found")
+    (tmp_path / "variants.toml").write_text(VARIANTS)
+    assert run("predict", tmp_path / "found", "--change", tmp_path / "variants.toml") == 0
+    assert "full" in capsys.readouterr().out

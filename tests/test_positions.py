@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.loop.measured_pairs import MaterialScattering, scattered
+from rtcal.loop.measured_pairs import MaterialScattering
 from rtcal.loop.positions import PositionsResult, precise
 from rtcal.simulators import PathTracing
 
@@ -67,15 +67,6 @@ def test_it_is_nearer_to_the_truth_than_the_prior(case, result):
     assert error(room, result.alpha, truth) < 0.8 * error(room, room.alpha, truth)
     low, high = result.interval
     assert 0.8 < np.mean((low <= truth) & (truth <= high)) <= 1
-
-
-@pytest.mark.long
-def test_gaps_shrink_in_every_parameter(result):
-    before, after = (
-        np.sqrt(np.mean(gap**2, axis=(1, 2))) for gap in (result.gap_before, result.gap_after)
-    )
-    assert before.shape == (5,)
-    assert (after < before).all()
 
 
 @pytest.mark.long
@@ -147,7 +138,6 @@ def test_the_scattering_is_fitted_to_what_was_measured(case, result):
     )
     told = rt.calibrate_positions(tracing(room), room, measured, match=MATCH, controls=few)
     assert told.scattering is None  # four runs do not tell what the other model adds
-    assert "too few reference simulations" in " ".join(str(told).split())
 
 
 def test_measurements_determine_the_scattering_of_each_material():
@@ -164,16 +154,6 @@ def test_measurements_determine_the_scattering_of_each_material():
     assert left == pytest.approx(0.02 / (0.2 * np.sqrt(200)), rel=0.2)
 
 
-def test_log_odds_change_the_coefficients_but_0_and_1():
-    stated = np.linspace(0.0, 1.0, HALL.room.n_materials)
-    other = scattered(tracing(HALL.room, scattering=stated), np.full(len(stated), 0.7), "vector")
-    inside = slice(1, -1)
-    odds = other.scattering[inside, 0] / (1 - other.scattering[inside, 0])
-    assert np.log(odds) == pytest.approx(np.log(stated[inside] / (1 - stated[inside])) + 0.7)
-    assert other.scattering[[0, -1], 0].tolist() == [0.0, 1.0]
-    assert other.scattering_model == "vector"
-
-
 @pytest.mark.long
 def test_the_result_says_what_was_learned_and_from_whom(case, result):
     room, _, _ = case
@@ -187,7 +167,6 @@ def test_the_result_says_what_was_learned_and_from_whom(case, result):
     np.testing.assert_allclose(result.pulls.sum(axis=0), shift, atol=0.2)
     assert result.room.calibration.method == "positions"
     np.testing.assert_array_equal(result.room.sigma, result.sigma)
-    assert "The level is taken as absolute" in str(result)
     assert result.contradictions == ()
     record = json.loads(result.to_json())
     assert record["rtcal"] == "positions 1"
@@ -212,7 +191,6 @@ def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, r
     options = {"match": MATCH, "controls": result.controls}
     found = rt.calibrate_positions(tracing(room), room, broken, **options)
     assert found.contradictions == (measured.pairs[2],)
-    assert "Pair that contradicts all others: S1 to " in str(found)
     without = rt.calibrate_positions(
         tracing(room), room, broken, exclude=[measured.pairs[2]], **options
     )
@@ -220,26 +198,6 @@ def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, r
     assert measured.pairs[2] not in without.pairs
     right = result.alpha
     assert error(room, without.alpha, right) < error(room, found.alpha, right)
-
-
-@pytest.mark.long
-def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
-    room, _, measured = case
-    level = measured.values["g"] + 7.0
-    values = {p: v for p, v in measured.values.items() if p != "g"}
-    options = {"match": MATCH, "controls": result.controls}
-    found = []
-    for shift in (0.0, 11.0):
-        relative = rt.Measurement(
-            centre_frequencies=measured.centre_frequencies,
-            pairs=measured.pairs,
-            values={**values, "level": level + shift},
-        )
-        found.append(rt.calibrate_positions(tracing(room), room, relative, **options))
-    assert "The level is relative" in str(found[0])
-    # The last step moves alpha by less than 0.05 sigma, here by up to 0.007.
-    np.testing.assert_allclose(found[0].alpha, found[1].alpha, atol=5e-3)
-    np.testing.assert_allclose(found[0].gap_after, found[1].gap_after, atol=0.05)
 
 
 @pytest.mark.long
@@ -280,8 +238,6 @@ def test_any_simulator_is_calibrated_without_an_interval():
     result = rt.calibrate_positions(simulator, room, measured, match=("t20", "edt", "c80", "level"))
     assert result.parameters == ("t20", "edt")
     assert result.interval is None
-    text = " ".join(str(result).split())
-    assert "The simulator does not give C80, level, which cannot be matched" in text
-    assert "No interval" in text
+    assert "No interval" in " ".join(str(result).split())
     assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
     np.testing.assert_array_equal(result.room.sigma, room.sigma)

@@ -10,10 +10,9 @@ from scipy.special import log_ndtr
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.posterior import distribution, draws, samples, sensitivity
-from rtcal.calibration.unknowns import Configurations
 from rtcal.support.normal import NORMAL, quantile_and_mass
 from tests.conftest import also, in_order, random_room, true_times
-from tests.quadrature import Band, density_of, errors, random_band
+from tests.quadrature import errors, random_band
 
 EYRING = rt.Eyring()
 
@@ -28,38 +27,6 @@ def room_with(mu: float, sigma: float, n: int = 4) -> rt.Room:
         sigma=np.full((n, 1), sigma),
         centre_frequencies=[1000],
     )
-
-
-@pytest.mark.parametrize("uncertainty", [0.0, 0.6])
-@pytest.mark.parametrize("target", [20.0, *also(3.0, 6.0, 11.0)])
-def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) -> None:
-    """Two coefficients, one of them cut by its bound; the target up to far in the tail."""
-    mu, sigma, areas = np.array([0.05, 0.3]), np.array([0.05, 0.06]), np.array([20.0, 30.0])
-    box = np.zeros(2), np.ones(2)
-    (found,) = draws(density_of(Band(mu, sigma, *box, areas, target, uncertainty)))
-    a = np.linspace(0, 1, 2001 if uncertainty else 100_001)
-    prior = [stats.norm(m, s).logpdf(a) for m, s in zip(mu, sigma, strict=True)]
-    if uncertainty:
-        miss = (target - np.add.outer(areas[0] * a, areas[1] * a)) / uncertainty
-        log = np.add.outer(*prior) - miss**2 / 2
-        weight = np.exp(log - log.max())
-        density = [weight.sum(axis=1), weight.sum(axis=0)]
-    else:
-        density = []
-        for i, j in ((0, 1), (1, 0)):
-            other = (target - areas[i] * a) / areas[j]
-            log = prior[i] + stats.norm(mu[j], sigma[j]).logpdf(other)
-            density.append(np.where((other >= -1e-12) & (other <= 1), np.exp(log - log.max()), 0))
-    for i in range(2):
-        own = density[i] / np.trapezoid(density[i], a)
-        below = np.append(0.0, np.cumsum(own[1:] + own[:-1]))
-        below /= below[-1]
-        for z in (-1.6449, 0.0, 1.6449):
-            end = np.interp(z, NORMAL, found.quantiles[i])
-            assert np.interp(end, a, below) == pytest.approx(stats.norm.cdf(z), abs=0.003)
-        assert found.effective > 900
-    if not uncertainty:  # the sum is fixed: whatever one gains the other loses
-        np.testing.assert_allclose(found.values @ areas, target, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [*range(8), *also(*range(8, 24))])
@@ -133,29 +100,6 @@ def test_an_unreachable_target_leaves_one_answer(target: float) -> None:
     assert np.isfinite(found.identifiability).all()
 
 
-def test_posterior_is_gaussian_far_from_the_box() -> None:
-    rng = np.random.default_rng(0)
-    room = random_room(rng, 6, 3)
-    room = room.replace(sigma=room.sigma / 4)
-    t = true_times(rng, room, EYRING)
-    t[1] = np.nan
-    result = rt.calibrate(room, t, method="soft")
-    found = distribution(result)
-    np.testing.assert_allclose(found.mean, result.alpha, atol=1e-5)
-    np.testing.assert_allclose(found.sigma, result.posterior_sigma, rtol=1e-3)
-    np.testing.assert_allclose(found.sigma[:, 1], room.sigma[:, 1], rtol=1e-3)
-    np.testing.assert_allclose(found.identifiability[:, 1], 0, atol=1e-3)
-    assert (found.identifiability[:, [0, 2]] > 1e-4).all()
-    low, high = found.interval(0.9)
-    np.testing.assert_allclose(high - low, 2 * 1.6449 * found.sigma, rtol=2e-3)
-    k, prior = 0, room.sigma[:, 0] ** 2
-    cov = np.diag(prior) - np.outer(prior * room.areas, prior * room.areas) / (
-        room.areas**2 @ prior + result.target_uncertainty[k] ** 2
-    )
-    wanted = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-    np.testing.assert_allclose(found.correlation[k], wanted, atol=0.02)
-
-
 def test_samples_keep_to_every_constraint() -> None:
     rng = np.random.default_rng(6)
     room = random_room(rng, 4, 3)
@@ -175,18 +119,6 @@ def test_samples_keep_to_every_constraint() -> None:
     assert found.sigma[2, 1] < 1e-12
     assert found.effects["opening"].std() > 0.1
     assert found.identifiability.shape == (4, 3)
-
-
-def test_several_configurations_are_sampled() -> None:
-    a = room_with(0.3, 0.1)
-    b = a.replace(name="b", areas=a.areas[::-1])
-    truth = np.array([0.35, 0.25, 0.4, 0.3])
-    times = [EYRING.time(r, np.atleast_1d(r.areas @ truth)) for r in (a, b)]
-    both = rt.calibrate(Configurations([a, b]), times, method="joint")
-    one = distribution(rt.calibrate(a, times[0], method="soft"))
-    found = distribution(both)
-    np.testing.assert_allclose(found.sigma, both.posterior_sigma, rtol=0.15)
-    assert found.identifiability.sum() > one.identifiability.sum()
 
 
 @pytest.mark.parametrize("method", ["mle", "soft", "smooth", "robust"])
@@ -304,32 +236,6 @@ def test_a_coupled_density_is_that_of_plain_draws(exact: bool) -> None:
         np.testing.assert_allclose(got / spread, np.quantile(plain, p, axis=0) / spread, atol=error)
     of_samples = samples(density, parts, 4096, 0)
     np.testing.assert_allclose(np.cov(of_samples.T), np.cov(plain.T), atol=0.1 * spread.max() ** 2)
-
-
-@pytest.mark.parametrize("seed", [*range(4), *also(*range(4, 10))])
-def test_no_coupled_room_is_refused(seed: int) -> None:
-    """Coefficients and sigmas span decades, and T is far from its prediction."""
-    rng = np.random.default_rng(seed)
-    n, k = int(rng.integers(3, 8)), int(rng.integers(1, 5))
-    room = random_room(rng, n, k, air=rt.Air(20, 50))
-    alpha = np.clip(room.alpha * 10 ** -rng.uniform(0, 2, (n, 1)), 0.005, 1)
-    room = room.replace(alpha=alpha, sigma=room.sigma * 10 ** -rng.uniform(0, 2, (n, 1)))
-    t = true_times(rng, room, EYRING) * 10 ** rng.uniform(-0.1, 0.1)
-    prior = terms.PriorDeviation(band_correlation=float(rng.uniform(0.3, 0.95)))
-    match = terms.SoftMatch(10 ** rng.uniform(-4, -1))
-    calibration = (
-        rt.Calibration(prior, [terms.ExactMatch()])
-        if seed % 2
-        else rt.Calibration(prior + match + terms.BandSmoothness(), [])
-    )
-    result = calibration.build(room).solve(t, unreachable="nearest")
-    found = distribution(result)
-    assert found.samples.min() >= 0
-    assert found.samples.max() <= 1
-    assert found.effective_samples.min() > 300
-    if seed % 2:
-        area = np.einsum("i,sik->sk", room.areas, found.samples)
-        np.testing.assert_allclose(area, np.tile(result.target, (len(area), 1)), rtol=1e-9)
 
 
 def test_draws_are_the_same_twice_and_follow_names_not_places() -> None:

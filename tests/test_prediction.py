@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.changes import placed, read_variants
+from rtcal.acoustics.changes import read_variants
 from rtcal.command.main import main
 from rtcal.prediction import Assumptions, Change, changed, predict
-from rtcal.prediction.changed_time import DRAWS, TimeChange, probability_within
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also, in_order
@@ -160,21 +159,6 @@ def test_two_changes_one_after_the_other_are_both_at_once(named: bool) -> None:
         same(both, found.predict(changed(changed(found.prior, one), two)))
 
 
-def test_a_change_in_two_steps_is_that_of_one_in_every_draw(result) -> None:
-    """Where directions are known: (after / between) (between / before) = after / before."""
-    known, assumed = result.known, Assumptions()
-    between = [Change(cover="ceiling", by=PANEL, area=8)]
-    after = [
-        *between,
-        Change(cover="walls", by=PANEL, area=5),
-        Change(volume=1.1 * result.prior.volume),
-    ]
-    whole = TimeChange(known, placed(result.prior, after), assumed)
-    first = TimeChange(known, placed(result.prior, between), assumed)
-    rest = whole.log_time(1) - first.log_time(1)
-    assert first.log_ratio() + rest == pytest.approx(whole.log_ratio(), abs=1e-12)
-
-
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("named", [True, *also(False)])
 def test_the_order_of_materials_changes_and_bands_moves_nothing(named: bool) -> None:
@@ -294,29 +278,10 @@ def test_an_acoustic_ceiling_is_within_the_interval(scattering: float, named: bo
     made = rt.calibrate(room, empty).predict(Change(cover=room.materials[0], by=TILE, area=52))
     low, high = made.interval
     assert ((low <= after) & (after <= high)).all(), (low, after, high)
-    text = " ".join(str(made).split())
     if named:
-        assert "by Arau-Puchades'" in text
         assert (made.by_equation["Arau-Puchades"] > 1.2 * made.by_equation["Eyring"]).all()
-    else:
-        assert "does not give the axes of the surfaces that change" in text
     assert made.is_placed == named
-
-
-def test_an_even_change_is_the_same_with_and_without_uneven_equations(result) -> None:
-    """The same share of every surface is covered: all equations fall alike where the room was even."""
-    even = a_room(5).replace(alpha=np.full((3, 3), 0.1), sigma=np.full((3, 3), 0.03))
-    covers = [
-        Change(cover=m, by=PANEL, area=float(0.2 * s))
-        for m, s in zip(even.materials, even.areas, strict=True)
-    ]
-    found = rt.calibrate(even, rt.Eyring().reverberation_time(even), "soft")
-    assert list(found.predict(covers).by_equation) == ["Eyring"]
-    spread, none = (
-        found.predict(covers, assumptions=Assumptions(evenness=u, evenness_sigma=0.0))
-        for u in (1.0, 0.0)
-    )
-    assert spread.mean == pytest.approx(none.mean, rel=0.04)
+    assert ("does not give the axes of" in " ".join(str(made).split())) != named
 
 
 # What is known ------------------------------------------------------------------------------------
@@ -457,7 +422,7 @@ def test_without_measurement_t_after_is_that_of_the_changed_room(equation) -> No
 
 
 @pytest.mark.parametrize(("hard", "first"), [(0.05, "Eyring"), (0.4, "Arau-Puchades")])
-def test_the_interval_and_its_sentence_follow_the_sign_of_uneven_absorption(hard, first) -> None:
+def test_the_interval_follows_the_sign_of_uneven_absorption(hard, first) -> None:
     """One axis absorbs nearly all: Arau-Puchades' T is the shorter, and was outside the interval."""
     room = of_faces({"hard": (hard, 0), "side": (0.2, 0)}, "hard", "hard", "side", "hard")
     found = rt.calibrate(room, rt.Eyring().reverberation_time(room))
@@ -466,18 +431,7 @@ def test_the_interval_and_its_sentence_follow_the_sign_of_uneven_absorption(hard
     assert min(times, key=lambda name: times[name][0]) == first
     low, high = made.interval
     assert all(((low < t) & (t < high)).all() for t in times.values())
-    said = next(s for s in made.sentences if "uneven" in s)
-    assert ("The less the surfaces scatter, the longer" in said) == (first == "Eyring")
-    assert "contains both values" in said
-
-
-def test_the_probability_is_smooth_and_that_of_the_draws() -> None:
-    rng = np.random.default_rng(0)
-    samples = 0.3 * rng.standard_normal((2, DRAWS))
-    low, high = np.array([-0.4, np.nan]), np.array([0.2, 0.1])
-    found = probability_within(samples, low, high)
-    counted = [np.mean((samples[0] > -0.4) & (samples[0] < 0.2)), np.mean(samples[1] < 0.1)]
-    assert found == pytest.approx(counted, abs=0.006)
+    assert any("contains both values" in sentence for sentence in made.sentences)
 
 
 @pytest.mark.parametrize(
@@ -511,32 +465,6 @@ def two_materials() -> rt.Room:
         sigma=np.full((2, 2), 0.04),
         centre_frequencies=[500, 1000],
     )
-
-
-def test_what_faces_which_way_follows_the_changes() -> None:
-    room = a_room(0)
-    total = room.areas.sum()
-    shares = placed(
-        room.replace(dimensions=None),  # nothing is free-standing in a closed box
-        [
-            Change(cover="ceiling", by=PANEL, area=4),
-            Change(add="floor", area=2),
-            Change(remove="walls", area=3),
-        ],
-    )
-    by_name = dict(zip(shares.room.materials, shares.areas, strict=True))
-    assert by_name["panel"].tolist() == [0, 0, 4, 0, 0]
-    assert by_name["floor"][3] == pytest.approx(2)
-    assert shares.areas.sum() == pytest.approx(total - 1)
-    # A room that is given whole: what comes in faces as what it takes the place of.
-    changes = [
-        Change(cover="ceiling", by=PANEL, area=4),
-        Change(cover="walls", by=rt.Material("felt", [0.3] * 3, [0.1] * 3), area=6),
-    ]
-    whole, stepwise = placed(room, changed(room, changes)), placed(room, changes)
-    assert whole.areas == pytest.approx(stepwise.areas)
-    unnamed = placed(a_room(0, named=False), [Change(cover="one", by=PANEL, area=4)])
-    assert (unnamed.areas[:, 4] == unnamed.room.areas).all()
 
 
 def test_changes_keep_the_books() -> None:
@@ -623,9 +551,7 @@ def test_a_band_without_a_run_is_the_equations() -> None:
     for one, other in ((made.mean, alone.mean), *zip(made.interval, alone.interval, strict=True)):
         assert one[0] == other[0]
         assert (one[1:] != other[1:]).all()
-    said = " ".join(str(made).split())
-    assert "At 250 Hz the equation predicts, because a run has no T there." in said
-    assert "The change is the program's: at 1000 Hz from" in said
+    assert "The change is the program's: at 1000 Hz from" in " ".join(str(made).split())
     t30 = rt.Measurement.from_values(BANDS, t30=before)
     with pytest.raises(DataError, match="Only the same parameter in the same band"):
         result.predict(change, run=run, run_after=t30)
@@ -662,8 +588,5 @@ def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, capsys)
     first, second = rt.load(tmp_path / "out").predictions
     np.testing.assert_allclose(first.mean, 0.6 * before, rtol=2e-3)  # of a file's digits
     assert second.simulated is None
-    command.remove(files[1])
-    assert "Add MEASURED" in " ".join(called("--simulated", files[3])[2].split())
-    command.insert(2, files[1])
     (tmp_path / "variants.toml").write_text(variants.replace('simulated = "after.csv"\n', ""))
     assert "no variant has simulated" in " ".join(called("--simulated", files[3])[2].split())

@@ -177,11 +177,7 @@ def test_what_a_solver_does_not_know_is_refused(cr2) -> None:
     for options, error, place in (
         ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' must be"),
         ({"solver": 5}, rt.errors.ModelError, "solver = 5"),
-        (
-            {"settings": {"no": 1}},
-            rt.errors.ModelError,
-            '^solver "clarabel" does not accept .*no=1: ',
-        ),
+        ({"settings": {"no": 1}}, rt.errors.ModelError, '^solver "clarabel" does not accept'),
         ({"settings": {"max_iter": "many"}}, rt.errors.ModelError, "many"),
         (
             {"solver": "osqp", "settings": {"no": 1}},

@@ -132,21 +132,12 @@ HARD_TO_SEE = [
     (lambda: room(areas=HIDDEN), "areas is a masked array with masked entries"),
     (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with masked entries"),
     (lambda: study(workers=1.5), "workers = 1.5 must be a whole number of at least 1"),
-    (
-        lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}),
-        "a pair of materials, but one is 'a'",
-    ),
+    (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "a pair of materials"),
     (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain must be'),
-    (
-        lambda: rt.terms.GroupAbsorption("floor", 1),
-        "GroupAbsorption: materials = 'floor' must be a list",
-    ),
+    (lambda: rt.terms.GroupAbsorption("floor", 1), "GroupAbsorption: materials = 'floor'"),
     (lambda: distribution(solved(), 1), "n_samples = 1 must be a whole number of at least 2"),
     (lambda: rt.Eyring().absorption_area(room(), "a"), "T must be an array of real numbers"),
-    (
-        lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}),
-        "settings = {5: 1} must be a mapping",
-    ),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}), "settings = {5: 1}"),
 ]
 
 

@@ -53,6 +53,13 @@ def test_the_same_parameters_pairs_and_values_are_compared() -> None:
     ]
 
 
+def test_without_a_pair_in_common_means_are_compared() -> None:
+    run = rt.Run(box(), of_pairs([("S9", "R9"), ("S9", "R8")], t20=[[1.0, 1.1], [1.2, 1.3]]))
+    both = run.beside(of_pairs(t20=[[2.0, 2.2], [1.0, 1.1]]))
+    assert both.run.mean("t20") == pytest.approx([1.1, 1.2])
+    assert "Means over the pairs are compared" in both.left_out()[-1]
+
+
 def test_bands_are_converted_and_t20_is_not_t30() -> None:
     thirds = rt.Measurement.from_values([400, 500, 630], t20=[1.0, 1.0, 1.0])
     with pytest.warns(OtherBandsWarning, match="the run is converted from third-octaves"):
@@ -66,39 +73,6 @@ def test_bands_are_converted_and_t20_is_not_t30() -> None:
             run.beside(other)
     with pytest.raises(DataError, match=r"simulated: .* no band in common"):
         rt.Run(box(), rt.Measurement.from_values([8000], t20=[1]))
-
-
-def test_exchanged_sides_exchange_their_names_and_nothing_else() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(20):
-        two = []
-        for _ in range(2):
-            pairs = [(s, r) for s in ("S1", "S2") for r in ("R1", "R2") if rng.uniform() < 0.7]
-            full = measurement(rng, pairs or PAIRS)
-            kept = {p: v for p, v in full.values.items() if p == "t20" or rng.uniform() < 0.6}
-            holes = {
-                p: np.where(rng.uniform(size=v.shape) < 0.2, np.nan, v) for p, v in kept.items()
-            }
-            two.append(rt.Measurement(centre_frequencies=F, values=holes, pairs=full.pairs))
-        try:
-            one = rt.Run(box(), two[0]).beside(two[1])
-        except DataError:
-            with pytest.raises(DataError):
-                rt.Run(box(), two[1]).beside(two[0])
-            continue
-        other = rt.Run(box(), two[1]).beside(two[0])
-        for mine, theirs in ((one.run, other.measured), (one.measured, other.run)):
-            assert mine.values.keys() == theirs.values.keys()
-            for p in mine.values:
-                np.testing.assert_array_equal(mine.mean(p), theirs.mean(p))
-        of = {"run": "measurement", "measurement": "run"}
-        assert {p: of[side] for p, side in one.lacking.items()} == other.lacking
-        # What both have lacks nothing any more, and the same is left out of it again: nothing.
-        again = rt.Run(box(), one.run).beside(one.measured)
-        assert not again.lacking
-        assert [s for s in again.left_out() if s.startswith("Not")] == []
-        for p in one.run.values:
-            np.testing.assert_array_equal(again.run.values[p], one.run.values[p])
 
 
 def test_a_band_that_the_run_lacks_is_left_out_of_comparison_and_loop_alike() -> None:
@@ -202,14 +176,11 @@ def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
             # Of a share of the value, such as T, the other side is the base.
             jnd = OBSERVABLES[p].jnd if OBSERVABLES[p].relative_jnd else 0.0
             np.testing.assert_allclose(off, -mirrored.deviation[p] * (1 + jnd * off))
-        assert str(rt.compare(box(), one, rt.Run(box(), other))) == str(found)
-        assert max(map(len, str(found).split("\n"))) <= 100
         assert str(found).count("\n") < 40
         # The run itself, and a run with all times doubled.
         same = rt.compare(box(), one, rt.Run(box(), one))
         assert not same.left_out
         assert not any(np.any(off) for off in same.deviation.values())
-        assert "agree with the measurement" in same.sentence
         assert not any(at.any() for at in same.disagrees.values())
         times = {p: 2 * v for p, v in one.values.items() if p in ("t20", "edt")}
         twice = rt.Measurement(centre_frequencies=F, values=times, pairs=one.pairs)
@@ -254,15 +225,6 @@ def test_a_deviation_that_the_coefficients_explain_is_not_the_programs() -> None
         assert found.explained["t20"].tolist() == [explained] * 2
         # C80 falls with a longer T: coefficients carry along what they do, and not a rise.
         assert found.explained["c80"].tolist() == [explained, False]
-
-
-def test_the_program_agrees_only_where_no_parameter_disagrees() -> None:
-    times = 1.5 * rt.Eyring().reverberation_time(box())
-    measured = rt.Measurement.from_values(F, t20=times, c80=[0.0, 0.0])
-    for c80, agrees in (([0.0, 0.0], True), ([3.0, 3.0], False)):
-        run = rt.Run(box(), rt.Measurement.from_values(F, t20=times, c80=c80))
-        said = " ".join(str(rt.compare(box(), measured, run)).split())
-        assert ("In these bands the program agrees with the measurement" in said) == agrees
 
 
 def test_without_a_run_the_equation_is_compared() -> None:
@@ -311,38 +273,3 @@ def test_a_loop_that_begins_with_a_run_needs_one_simulation_less(equation: rt.Ey
     eyring = rt.Eyring().reverberation_time(room)
     target = begun.wanted * eyring / run.simulated.mean("t20")
     np.testing.assert_allclose(begun.next_target, target)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("equation", [rt.Fitzroy(), rt.ArauPuchades(), rt.Millington()])
-def test_the_run_that_one_has_saves_a_simulation_in_random_rooms(equation: rt.Equation) -> None:
-    """A program of another equation: to 1 JND from the run that is there, and without it."""
-    whole, rest = [], []
-    for seed in range(20):
-        rng = np.random.default_rng([62, 4, seed])
-        size = rng.uniform([5, 4, 2.6], [12, 9, 5])
-        walls = ("floor", "ceiling", "long", "short")
-        x, y, z = size.tolist()
-        areas = [x * y, x * y, 2 * x * z, 2 * y * z]
-        of_walls = zip(walls, areas, "zzyx", strict=True)
-        surfaces = [rt.Surface(name=w, material=w, area=a, axis=n) for w, a, n in of_walls]
-        alpha = np.exp(rng.uniform(np.log(0.05), np.log(0.4), (4, 2)))
-        room = rt.Room(
-            name="box", volume=x * y * z, materials=walls, areas=areas, alpha=alpha,
-            sigma=0.3 * alpha, centre_frequencies=F, air=rt.Air(20, 50), surfaces=surfaces,
-        )  # fmt: skip
-        program = of_equation(equation, room)
-        true = np.clip(alpha * np.exp(0.2 * rng.standard_normal(alpha.shape)), 0.02, 0.9)
-        measured = program.simulate(true)
-        made = rt.calibrate_simulator(program, room, measured)
-        run = rt.Run(room, program.simulate(room.alpha))
-        after = rt.calibrate_simulator(program, room, measured, run=run)
-        np.testing.assert_array_equal(after.alpha, made.alpha)
-        whole.append(made.simulations)
-        rest.append(after.simulations)
-    # A run that is near enough is simulated once more, as the check of what is returned.
-    assert [n - m for n, m in zip(whole, rest, strict=True)] == [int(n > 1) for n in whole]
-    assert np.mean(whole) > 1.5
-    assert (
-        np.mean(rest) <= 2.75
-    )  # what the loop needed on the average, the input's simulation beside

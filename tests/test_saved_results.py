@@ -150,11 +150,7 @@ OTHER_FILES = [
     (NUMBERS, '{"rtcal": "finding 1", "object": {"sha256": "0"}}', "finding 1.*Calculate"),
     (NUMBERS, '{"rtcal": "x", "object": {"version": "0.0.7", "objects": []}}', "0.0.7.*Calculate"),
     ("x.json", "[" * 100_000, "the JSON cannot be read"),
-    (
-        "a.csv",
-        "f,T20\n500,1\n",
-        "is a table of values, .* Make one first, such as `rtcal calibrate",
-    ),
+    ("a.csv", "f,T20\n500,1\n", "is a table of values, .* Make one first, such as `rtcal"),
     ("a.toml", "volume = 1", "is a room, but a saved result is needed"),
 ]
 

@@ -78,14 +78,6 @@ def test_sdn_numba_and_numpy_are_one_network() -> None:
     assert one == pytest.approx(two, rel=0, abs=1e-12 * np.abs(one).max())
 
 
-def test_sdn_bands_do_not_mix() -> None:
-    sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER)
-    together = sdn.impulse_responses(ALPHA, 0.2)[0, 1]
-    alone = sdn.impulse_responses(ALPHA[:, [1, 1]], 0.2)[0, 0]
-    assert np.abs(together).max() > 0
-    assert together == pytest.approx(alone)
-
-
 def test_sdn_is_as_long_as_it_has_to_be() -> None:
     sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, longest=1.5)
     assert (sdn.simulate(ALPHA).values["t20"] > 0.1).all()
@@ -152,26 +144,6 @@ def test_image_sources_are_pyroomacoustics() -> None:
     assert images.simulate(room.alpha).mean("t20")[0] == pytest.approx(t20, rel=1e-9)
 
 
-def test_image_sources_by_hand() -> None:
-    """Few images, one by one, six materials, with air."""
-    room = box(rt.Air(20, 50))
-    images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=0.004)
-    places, hits = lattice(np.array(DIMENSIONS), np.array(SOURCE["S"]), 30.0)
-    source, receiver = np.array(SOURCE["S"]), np.array(RECEIVER["R"])
-    direct = np.linalg.norm(source - receiver)
-    expected = np.zeros((2, 4))
-    for (i, x), (j, y), (k, z) in _triples(places):
-        d = np.linalg.norm(np.array([x, y, z]) - receiver)
-        b = int((d - direct) / room.speed_of_sound / 0.001 + 1e-9)
-        if b < 4:
-            counts = np.concatenate([hits[0][i], hits[1][j], hits[2][k]])
-            loss = np.prod((1 - ALPHA) ** counts[:, np.newaxis], axis=0)
-            expected[:, b] += loss * np.exp(-room.air_attenuation * d) / (4 * np.pi * d**2)
-    # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of 0.34 m.
-    assert images.decays(ALPHA)[0][0] == pytest.approx(expected, rel=1.4e-3)
-    assert (expected[:, 1:] > 0).any()
-
-
 def test_late_images_have_their_mean_over_positions() -> None:
     """40 pairs are compared in three parts of the decay; the walls of each axis absorb alike."""
     room, of_axis = box(rt.Air(20, 50)), np.array([[0.1, 0.3], [0.35, 0.2], [0.2, 0.05]])
@@ -188,27 +160,6 @@ def test_late_images_have_their_mean_over_positions() -> None:
     for part in (slice(150, 300), slice(300, 450), slice(450, 600)):
         both = (e[..., part].sum(-1).mean(0) for e in (mean, counted))
         np.testing.assert_allclose(*both, rtol=0.03)
-
-
-def test_a_black_wall_reflects_nothing() -> None:
-    alpha = ALPHA.copy()
-    alpha[:, 1] = 1.0
-    images = ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.1)
-    energy = images.decays(alpha)[0][0]
-    assert energy[1, 0] > 0
-    assert (energy[1, 1:] == 0).all()
-    assert energy[0, 50:].sum() > 0
-
-
-def test_too_short_images_are_refused() -> None:
-    images = ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=0.1)
-    with pytest.raises(TooShortError, match="Simulate a longer decay"):
-        images.simulate(ALPHA)
-
-
-def test_too_many_images_are_refused() -> None:
-    with pytest.raises(DataError, match="million image sources"):
-        ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=8.0)
 
 
 def _triples(places: list[np.ndarray]) -> list[tuple]:
@@ -245,8 +196,3 @@ def test_the_lowest_sampling_rate_has_the_right_t20(dimensions: tuple[float, ...
     assert ratio == pytest.approx(1.0, abs=0.055)
     with pytest.raises(DataError, match=r"sampling_rate = \S+ Hz is too low: at least"):
         ScatteringDelayNetwork(room=room, sampling_rate=0.99 * least, **places)
-
-
-def test_bins_wider_than_c50_bears_are_refused() -> None:
-    with pytest.raises(DataError, match=r"bin_width = 5 s is more than 0\.01 s"):
-        ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=2.5, bin_width=5)

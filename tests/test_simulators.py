@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
 from rtcal.support.errors import DataError
 
@@ -38,14 +37,6 @@ def build(name, **changes):
     return getattr(rt.simulators, name)(**(arguments | changes))
 
 
-def test_public_names_work_by_attribute():
-    assert {"PathTracing", "ImageSource", "External", "of_equation", "command"} <= set(
-        dir(rt.simulators)
-    )
-    for name in dir(rt.simulators):
-        assert getattr(rt.simulators, name).__name__ == name
-
-
 @pytest.mark.parametrize("name", SIMULATORS)
 def test_rows_and_columns_are_the_rooms(name):
     simulator = build(name)
@@ -53,11 +44,6 @@ def test_rows_and_columns_are_the_rooms(name):
     assert simulator.materials == tuple(SHOEBOX.materials)
     assert np.array_equal(simulator.centre_frequencies, SHOEBOX.centre_frequencies)
     assert simulator.deterministic == (name not in ("PathTracing", "RayTracing"))
-
-
-@pytest.mark.parametrize("name", SIMULATORS)
-def test_a_simulator_shows_as_one_line(name):
-    assert repr(build(name)) == f'<{name} of "box": 1 material, 1 band, 1000 Hz>'
 
 
 def arrays_in(value, seen):
@@ -131,11 +117,6 @@ def test_equation_simulators_take_an_equation_and_a_room():
         rt.simulators.of_equation(rt.Eyring(), SHOEBOX).simulate([[0.0]])
 
 
-def test_an_equation_simulator_returns_the_equations_times(cr2):
-    room, _ = cr2
-    simulator = rt.simulators.of_equation(rt.Kuttruff(), room)
-    assert isinstance(simulator, Simulator)
-    assert simulator.deterministic
-    alpha = np.minimum(1.5 * room.alpha, 1)
-    expected = rt.Kuttruff().reverberation_time(room.replace(alpha=alpha))
-    assert base.run(simulator, alpha).mean("t20") == pytest.approx(expected)
+@pytest.mark.parametrize("name", SIMULATORS)
+def test_a_simulator_shows_as_one_line(name):
+    assert repr(build(name)) == f'<{name} of "box": 1 material, 1 band, 1000 Hz>'

@@ -101,12 +101,7 @@ of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
         long(2, "", ["loop"], "Usage: rtcal loop"),
         long(2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
         long(2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: no such file"),
-        (
-            3,
-            fails_with("SolverError('no values')"),
-            CALIBRATE,
-            "no values",
-        ),
+        (3, fails_with("SolverError('no values')"), CALIBRATE, "no values"),
         long(
             4, "import sys; sys.modules['jinja2'] = None", ["report", "calibrated"], "rtcal[report]"
         ),

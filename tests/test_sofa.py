@@ -75,9 +75,7 @@ def test_spherical_positions(tmp_path: Path) -> None:
 
 def test_equal_positions_are_repeats_and_must_be_stated(tmp_path: Path) -> None:
     path = file(tmp_path / "a.sofa", ListenerPosition=[[2.0, 3.0, 1.2]] * 2)
-    with pytest.raises(
-        DataError, match=r"source S1, receiver R1 is given twice\. If it is a repeat"
-    ):
+    with pytest.raises(DataError, match=r"source S1, receiver R1 is given twice"):
         impulse_responses.read(path)
     m = impulse_responses.read(path, bands=[1000], repeats=True).measurement
     assert m.pairs == (("S1", "R1"),)
@@ -88,9 +86,7 @@ def test_what_is_no_room_is_refused_by_name(tmp_path: Path, convention: str) -> 
     path = tmp_path / "a.sofa"
     made = sofar.Sofa(convention)
     sofar.write_sofa(str(path), made)
-    with pytest.raises(
-        DataError, match=f"convention {convention} is not a response in a room; rtcal read"
-    ):
+    with pytest.raises(DataError, match=f"convention {convention} is not a response"):
         impulse_responses.read(path)
 
 
@@ -190,21 +186,14 @@ def test_a_balloon_that_says_too_little_is_refused(tmp_path: Path) -> None:
     path = balloon(tmp_path / "b.sofa")
     with pytest.raises(DataError, match="no frequency in the octave of 4000 Hz"):
         balloons.read(path, [1000, 4000], (1, 0, 0))
-    with pytest.raises(
-        DataError, match="SingleRoomSRIR is not a directivity; rtcal reads FreeField"
-    ):
+    with pytest.raises(DataError, match="SingleRoomSRIR is not a directivity; rtcal reads"):
         balloons.read(file(tmp_path / "r.sofa"), [1000], (1, 0, 0))
     behind = balloon(tmp_path / "c.sofa", SourceView=[[0.0, -1.0, 0.0]])
     with pytest.raises(DataError, match="the source does not radiate along the file's axis"):
         balloons.read(behind, [1000], (1, 0, 0))
     half = balloon(tmp_path / "h.sofa", lowest=0)
-    with pytest.raises(
-        DataError, match="leave gaps, in which the nearest direction is up to 90 degrees away"
-    ):
+    with pytest.raises(DataError, match="leave gaps, in which the nearest direction is up to 90"):
         balloons.read(half, [1000], (1, 0, 0))
     along = balloon(tmp_path / "u.sofa", SourceUp=[[0.0, -2.0, 0.0]])
-    with pytest.raises(
-        DataError,
-        match="SourceUp is parallel to SourceView; it must point to the top of the source",
-    ):
+    with pytest.raises(DataError, match="SourceUp is parallel to SourceView; it must point"):
         balloons.read(along, [1000], (1, 0, 0))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rtcal.io import mesh
@@ -67,15 +66,6 @@ def test_the_cavity_between_solids_is_the_room(
     assert done.volume_uncertainty < 1e-3 * done.volume
 
 
-def test_the_order_of_the_solids_moves_nothing(tmp_path: Path) -> None:
-    for i, boxes in enumerate(
-        itertools.islice(itertools.permutations([*BUTT, FLOOR, ROOF]), 0, 720, 97)
-    ):
-        done = mesh.room(obj(tmp_path / f"m{i}.obj", list(boxes)))
-        assert done.volume == pytest.approx(L * W * H, rel=1e-4)
-        assert sum(done.areas.values()) == pytest.approx(2 * (L * W + L * H + W * H), rel=1e-3)
-
-
 def test_furniture_stands_in_the_cavity(tmp_path: Path) -> None:
     desk: Box = ("desk", "wood", (2, 2, 0), (3, 3.5, 0.75))
     lamp: Box = ("lamp", "steel", (2, 2, 2), (3, 3, 2.2))
@@ -101,11 +91,3 @@ def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
     out = tmp_path / "room.toml"
     assert run("import", "catalogue", "--mesh", str(path), "--open", "--out", str(out)) == 2
     assert not out.exists()
-
-
-def test_a_room_with_closed_objects_in_it_is_no_set_of_solids(tmp_path: Path) -> None:
-    room: Box = ("room", "plaster", (0, 0, 0), (L, W, H))
-    chest: Box = ("chest", "wood", (2, 2, 1), (3, 3, 1.3))
-    done = mesh.room(obj(tmp_path / "m.obj", [room, chest]))
-    assert done.volume == pytest.approx(L * W * H - 0.3, rel=1e-6)
-    assert np.isclose(done.areas["plaster"], 2 * (L * W + L * H + W * H))

@@ -379,12 +379,7 @@ def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:
         (P() + terms.SoftMatch(), [], DataError, r"the uncertainty of T\[63 Hz\] is unknown or 0"),
         (P() + terms.SoftMatch(1e-9), [], DataError, r"uncertainty of T\[63 Hz\] is below"),
         (P() + terms.AddedAbsorption("x", [1, 1], 1.0), [], ModelError, "shape"),
-        (
-            P(),
-            [terms.Bounds(0.6, 1), terms.Bounds(0, 0.5)],
-            DataError,
-            "lower bound is above the upper",
-        ),
+        (P(), [terms.Bounds(0.6, 1), terms.Bounds(0, 0.5)], DataError, "lower bound is above"),
         (P(), [terms.Bounds(material=5)], DataError, "material = 5"),
         (P(), [terms.Bounds(band=-1)], DataError, "band = -1"),
         (P(), [terms.Fixed("m0", band="500 Hz")], DataError, "band"),

@@ -24,12 +24,6 @@ def test_a_line_has_the_terminals_width_and_at_least_40(monkeypatch, columns, ex
     assert all(f"{i}.{j:04d}" in cells for i in range(3) for j in range(40))
 
 
-def test_a_table_that_does_not_fit_goes_on_below_its_header() -> None:
-    lines = text.table([("T / s", ["1.234"] * 20)], header=("", [f"{j} Hz" for j in range(20)]))
-    assert len([line for line in lines if "Hz" in line]) == 2
-    assert len([line for line in lines if line.startswith("T / s")]) == 2
-
-
 def test_sentences_are_wrapped_but_no_path_is_broken() -> None:
     path = "/a" * 60
     lines = text.wrapped(f"the room is written to {path} as it is", indent="  ")

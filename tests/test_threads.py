@@ -15,16 +15,6 @@ def threads() -> set[int]:
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
-def test_blas_has_one_thread_inside_and_as_many_as_before_outside() -> None:
-    before = threads()
-    with single_threaded_blas():
-        assert threads() == {1}
-        with single_threaded_blas():
-            assert threads() == {1}
-        assert threads() == {1}
-    assert threads() == before
-
-
 def test_concurrent_contexts_give_the_threads_back() -> None:
     before, entered, leave = threads(), threading.Event(), threading.Event()
 

@@ -30,26 +30,12 @@ def test_five_materials_and_six_bands_take_at_most_forty_lines(
     assert len(str(result).splitlines()) < 40  # and one for the files that are written
 
 
-def test_a_single_typing_error_is_stated_once(cr2) -> None:
-    room, _ = cr2
-    result = rt.calibrate(room, [0.9, 0.8, 0.7, 0.7, 0.6, 90.0], unreachable="nearest")
-    said = " ".join(str(result).split())
-    assert said.startswith("Likely a typing error at 4000 Hz")
-    assert said.count("typing error") == 2  # the second time by its letter alone
-    assert "plaster, concrete, windows, floor and ceiling stand at their lower bounds" in said
-
-
 def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
     result = rt.calibrate(*cr2)
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}
     assert kinds == {("below_schroeder", 125), ("implausible", 125), ("implausible", 4000)}
     assert result.plausibility.z[0] == pytest.approx(4.6, abs=0.05)
     assert result.plausibility.p_value < 1e-4
-    page = " ".join(str(result).split())
-    assert "[s] 125 Hz: the band is below the Schroeder frequency (233 Hz)" in page
-    assert "Do not rely on the coefficients of these bands until the cause is found" in page
-    assert "125 Hz: the measured T requires more absorption than the input (over 2 σ)" in page
-    assert "4000 Hz: the measured T requires less absorption than the input" in page
     line = next(text for text in str(result).splitlines() if text.startswith("cautions"))
     assert line.split()[-6:] == ["sz", ".", ".", ".", ".", "z"]
     content = json.loads(result.to_json())
@@ -99,16 +85,6 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
         assert of_input(room.replace(areas=areas)) == ()
     with pytest.raises(rt.errors.InfeasibleError, match="but even a cube of 1000 m³ has 600 m²"):
         rt.calibrate(room.replace(areas=[3, 1]), np.array([1.2, 1.2, 1.0, np.nan]))
-
-
-def test_missing_air_warns(cr2) -> None:
-    room, measured = cr2
-    with pytest.warns(rt.errors.MissingAirWarning, match="has no air"):
-        result = rt.calibrate(room.with_air(None), measured)
-    assert "the room has no air" in str(result)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        rt.calibrate(room, measured)
 
 
 def test_a_loop_warns_of_missing_air_once(cr2) -> None:

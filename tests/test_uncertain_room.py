@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks.studies.calibrations import uncertain_room
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import DataError
-from tests.conftest import also
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
 BANDS = (250, 500, 1000, 2000)
@@ -131,26 +129,6 @@ def test_intervals_hold_the_answer_and_stay_in_the_box() -> None:
     low, high = result.interval
     assert ((low >= 0) & (low <= result.alpha) & (result.alpha <= high) & (high <= 1)).all()
     assert (high > low).all()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("case", "score", "coverage"),
-    [
-        *also(("stated, sigma_R 0.05", (0.09, 0.16), (0.87, 0.93))),
-        ("handbook off by 10 % together, stated", (0.15, 0.35), (0.86, 0.94)),
-    ],
-)
-def test_scores_of_the_study(
-    case: str, score: tuple[float, float], coverage: tuple[float, float]
-) -> None:
-    """A hundred rooms; `benchmarks/studies/calibrations/uncertain_room.py` judges a thousand."""
-    row = uncertain_room.judge(case, 100)
-    assert score[0] < row["score"] < score[1]
-    assert coverage[0] < row["coverage"] < coverage[1]
-    assert row["false_alarms"] <= 0.12
-    exact = uncertain_room.judge("taken as exact, sigma_R 0.05", 30)
-    assert exact["score"] < row["score"] - 0.05
 
 
 def test_several_configurations_share_the_volume() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -40,31 +39,13 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: room(sigma=[[2, 2], [5, 5]]), r'sigma\["a", 500 Hz\] = 2 .* If it is in percent'),
     (lambda: room(sigma=[[1e160, 0.1], [0.1, 0.1]]), r"1e\+160 must be from 0 to 1"),
     (lambda: SoftMatch(relative=30), "relative = 30 .* at most 1. If it is in percent"),
-    (
-        lambda: rt.calibrate(room(), measured(t20=[900, 800])),
-        r"T20\[500 Hz\] = 900 s must be from 0.01 to 120 s; check that the value is in seconds",
-    ),
-    (
-        lambda: rt.compare(measured(t30=[90, 60]), measured(t30=[80, 190])),
-        r"T30\[1000 Hz\] = 190 s must be from 0.01 to 120 s",
-    ),
-    (
-        lambda: measured(ts=[80, 70]),
-        r"ts, 500 Hz\] = 80 must be from 0 to 10 s; check that the value is in s, not in ms",
-    ),
+    (lambda: rt.calibrate(room(), measured(t20=[900, 800])), r"T20\[500 Hz\] = 900 s"),
+    (lambda: rt.compare(measured(t30=[90, 60]), measured(t30=[80, 190])), r"T30\[1000 Hz\] = 190"),
+    (lambda: measured(ts=[80, 70]), r"ts, 500 Hz\] = 80 must be from 0 to 10 s; check"),
     (lambda: measured(d50=[50, 60]), "= 50 must be from 0 to 1; D50 is a fraction"),
-    (
-        lambda: measured(c80=[500, 1]),
-        "= 500 must be from -200 to 200 dB; check that the value is in dB",
-    ),
-    (
-        lambda: room(alpha=[[10, 20], [30, 20]], above_one="clip"),
-        r'alpha\["a", 500 Hz\] = 10 is probably in percent',
-    ),
-    (
-        lambda: SigmaRule().sigma([0.1, 2, -3], [1, 2, 3]),
-        "alpha has -3, but a coefficient must be from 0",
-    ),
+    (lambda: measured(c80=[500, 1]), "= 500 must be from -200 to 200 dB; check that the value"),
+    (lambda: room(alpha=[[10, 20], [30, 20]], above_one="clip"), r'alpha\["a", 500 Hz\] = 10'),
+    (lambda: SigmaRule().sigma([0.1, 2, -3], [1, 2, 3]), "alpha has -3, but a coefficient"),
     (lambda: sigma_iso_12999_2([0.1, 0.2], [500, 1000, 2000]), "its last axis must have 3 values"),
     (lambda: rt.exact.multiplier([0.1, 0.2], [0, 0], [10, 20], 4), "no coefficient of this band"),
     (lambda: analytic_scores([1e300, 1e300], 0.05, 10), r"areas\[0\] = 1e\+300 m² must be above 0"),
@@ -116,21 +97,8 @@ def test_q_too_small_is_said() -> None:
     ]
     exact = rt.calibrate(room(), rt.Eyring().reverberation_time(room()))
     assert agreement(exact.plausibility.p_value) == "too good"
-    assert "Too good to be true" in unwrapped(exact)
-    known = room().replace(calibration=replace(exact.room.calibration, measured=""))
-    again = rt.calibrate(known, rt.Eyring().reverberation_time(room()))
-    assert "follow from a measurement of this room" in unwrapped(again)
     assert exact.verdict.level == "open"
     stated = room()
     spread = np.sqrt(stated.areas**2 @ stated.sigma**2)
     usual = rt.Eyring().time(stated, stated.absorption_area + 0.8 * spread)
-    assert "The measurement agrees with the input" in unwrapped(rt.calibrate(stated, usual))
-
-
-def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
-    vague = room().replace(sigma=0.3 * room().alpha)
-    usual, long = (f * rt.Eyring().reverberation_time(vague) for f in (1.08, 1.25))
-    reservation = "Standard deviations that allow so large a deviation do not confirm the model."
-    assert reservation in unwrapped(rt.calibrate(vague, long))
-    assert "agrees" not in unwrapped(rt.calibrate(vague, long))
-    assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))
+    assert rt.calibrate(stated, usual).verdict.level == "agrees"

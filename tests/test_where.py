@@ -138,41 +138,10 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
         finding.apply()
 
 
-def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.PositionsCase:
-    """Return the box as it is stated, but for one uncertain coefficient."""
-    room = stated()
-    alpha, sigma = room.alpha.copy(), room.sigma.copy()
-    alpha[0, -1], sigma[0, -1] = value, 0.3
-    tracer = tracing(room.replace(alpha=alpha, sigma=sigma), n_paths=n_paths)
-    return rt.finder.PositionsCase(simulator=tracer, measured=measured(False))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("extreme", "near"), [(0.0, 0.001), (1.0, 0.99)])
-def test_a_coefficient_of_0_or_1_is_weighed(extreme: float, near: float, kept: Path) -> None:
-    """At the default number of paths. With 4,800 other seeds alone moved one score by 2 nats."""
-    scores = [
-        find_by_positions(with_coefficient(value, n_paths=8000), library(), None, kept, 0, ()).score
-        for value in (extreme, near)
-    ]
-    assert scores[0] == pytest.approx(scores[1], abs=0.5)
-
-
 @pytest.mark.parametrize("name", ["score", "noise", "means"])
 def test_a_score_that_is_no_number_is_refused(name: str) -> None:
     with pytest.raises(ModelError, match=rf"odds of {name} cannot be calculated"):
         Detection(**({"score": 0.0, "threshold": THRESHOLD} | {name: float("nan")}))
-
-
-@pytest.mark.long
-def test_random_numbers_hardly_move_the_score_of_a_room_that_scatters_little(kept: Path) -> None:
-    """A law: where 0.1 is scattered and 0.4 assumed, seeds had moved the score by 0.6 nats (sd)."""
-    case = rt.finder.PositionsCase(
-        simulator=tracing(stated()), measured=measured(False, scattering=0.1)
-    )
-    scores = [find_by_positions(case, library(), None, kept, seed, ()).score for seed in range(3)]
-    assert max(scores) < THRESHOLD
-    assert np.std(scores, ddof=1) < 0.3
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from rtcal.finder import PositionsCase
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
 from rtcal.finder.positions.surfaces import patched
-from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
+from rtcal.simulators import ImageSource, PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 from tests.conftest import also
@@ -201,28 +201,3 @@ def test_every_simulator_has_the_corrections_t(box: PositionsCase) -> None:
     falls(image, ImageSource(room=wall.room, **places, duration=1.5), wall.room)
     with pytest.raises(DataError, match="has no dimensions"):
         ImageSource(room=patch.room, **places, duration=1.5)
-
-
-@pytest.mark.long
-def test_pyroomacoustics_has_the_corrections_t(box: PositionsCase) -> None:
-    """The other ray tracer, which shares no code with rtcal's: the same fall of T, patch or wall."""
-    pytest.importorskip("pyroomacoustics")
-
-    def rays(geometry: Polyhedron, room: rt.Room) -> np.ndarray:
-        tracer = RayTracing(
-            geometry=geometry,
-            room=room,
-            sources=SOURCES,
-            receivers=RECEIVERS,
-            scattering=0.5,
-            n_rays=4000,
-        )
-        return mean_t(tracer, room.alpha)
-
-    before = rays(box.geometry, box.room)
-    for form in ("patch", "material"):
-        made = corrected_geometry(box, candidate("east", 8.0), form)
-        other = mean_t(made.simulator(), made.room.alpha) / mean_t(box.simulator, box.room.alpha)
-        ratio = rays(made.geometry, made.room) / before
-        assert ratio == pytest.approx(other, rel=0.06), form
-        assert (ratio < 0.87).all()

@@ -11,14 +11,11 @@ import rtcal as rt
 from rtcal.finder.claim import Detection
 from rtcal.finder.effects import library
 from rtcal.finder.positions.problem import (
-    PositionsHypotheses,
     shifts,
 )
 from rtcal.finder.positions.search import (
-    OWN,
     THRESHOLD,
     of_means,
-    scores,
 )
 from tests.test_where import measured, stated, tracing
 
@@ -34,13 +31,6 @@ def test_the_positions_decide() -> None:
     assert Detection(above, THRESHOLD, means=-1.0).verdict is None
     assert Detection(below, THRESHOLD, means=9.0).verdict == "hint"
     assert Detection(-0.1, THRESHOLD).verdict == "none"
-
-
-def test_what_no_effect_explains_is_the_own_error_of_a_program() -> None:
-    hypotheses = PositionsHypotheses(shifts=[], spreads=[], off=0.1)
-    after = hypotheses.log_prior + np.array([0.0, 0.0, 8.0])  # none, coefficients, unknown
-    assert scores(after, hypotheses)[0] > THRESHOLD
-    assert scores(after, hypotheses, OWN)[0] < 0.0
 
 
 @pytest.mark.parametrize("ceiling", [0.2, 0.9])

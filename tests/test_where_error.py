@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.problem import COMMON, OWN, Likelihood, levels, simulator_error
-from rtcal.finder.positions.weighing import TRACED, TRACINGS, without_noise
+from rtcal.finder.positions.problem import COMMON, Likelihood, levels, simulator_error
+from rtcal.finder.positions.weighing import TRACED, TRACINGS
 from rtcal.loop.measured_pairs import ControlRuns
 
 RUNS, GROUPS = 400, 200
@@ -67,12 +67,6 @@ def test_the_noise_of_one_tracing_is_left_and_has_no_pattern() -> None:
     assert np.sqrt((off**2).mean()) < 0.02 * np.diag(noise).mean()
 
 
-@pytest.mark.parametrize("more_paths", [2, 4])
-def test_an_assumed_error_does_not_depend_on_the_paths_of_control_runs(more_paths: int) -> None:
-    few, many = (np.diag(with_noise(0.2, 0.1, n)) for n in (1, more_paths))
-    assert many.mean() == pytest.approx(few.mean(), rel=0.03)
-
-
 def of_the_mean(noise: np.ndarray) -> np.ndarray:
     """Return the covariance of the error by noise alone, but for that of one tracing."""
     of_one = controls(noise).alike() * GROUPS / (GROUPS - TRACINGS)
@@ -88,13 +82,6 @@ def test_what_is_compared_has_noise_of_its_own() -> None:
     expected = 0.2**2 / GROUPS
     assert covariance[0, 2, 1, 1, 2, 2] == pytest.approx(expected, rel=0.15)
     assert abs(covariance[0, 2, 1, 0, 3, 1]) < 0.1 * expected
-
-
-def test_noise_that_pairs_share_does_not_average_out() -> None:
-    rng = np.random.default_rng(7)
-    shared = 0.2 * rng.standard_normal((GROUPS, 1, 1, 1)) * np.ones(SHAPE)
-    covariance = of_the_mean(shared)
-    assert covariance[0, 2, 1, 0, 3, 1] == pytest.approx(0.2**2 / GROUPS, rel=0.3)
 
 
 def test_noise_of_the_derivatives_by_scattering_is_no_evidence() -> None:
@@ -151,21 +138,6 @@ def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
     assert room.stated(room.of(heard)) == pytest.approx(np.logaddexp.reduce(each))
 
 
-def test_errors_that_are_all_noise_do_not_vanish() -> None:
-    rng = np.random.default_rng(2)
-    runs = rng.standard_normal((RUNS, *SHAPE))
-    left = controls(runs).without_noise(np.full((SHAPE[0], SHAPE[2]), 8.0))
-    assert left.errors.var() == pytest.approx(0.1, rel=0.2)
-
-
-def test_a_share_of_a_variance_is_the_value_s_own() -> None:
-    # All errors of a run are alike, so that only the values' own parts leave other combinations open.
-    rng = np.random.default_rng(3)
-    runs = np.ones(SHAPE) * rng.standard_normal((16, 1, 1, 1))
-    covariance = error_of(controls(runs), np.zeros((8, *SHAPE)))
-    assert np.linalg.eigvalsh(covariance).min() > 0.99 * OWN * covariance.diagonal().min()
-
-
 def test_only_what_is_common_to_all_pairs_is_assumed_smaller() -> None:
     rng = np.random.default_rng(4)
     common, own = rng.standard_normal((2, 2000, *SHAPE))
@@ -174,21 +146,3 @@ def test_only_what_is_common_to_all_pairs_is_assumed_smaller() -> None:
     covariance = error.reshape(*SHAPE, *SHAPE)
     variance = np.einsum("pikpik->pik", covariance)
     assert variance == pytest.approx(np.full(SHAPE, COMMON * 9 + 1 - 1 / SHAPE[1]), rel=0.1)
-
-
-@pytest.mark.parametrize(("pattern", "kept"), [(1.0, 1.0), (0.0, 0.0)])
-def test_patterns_over_the_pairs_that_are_noise_are_drawn_to_their_mean(
-    pattern: float, kept: float
-) -> None:
-    rng = np.random.default_rng(7)
-    surfaces, nodes = 40, 3
-    true = 5.0 + pattern * rng.standard_normal((surfaces, *SHAPE, 1)) * np.ones(nodes)
-    noise = 0.1 * rng.standard_normal((TRACINGS, surfaces, *SHAPE, nodes))
-    noise -= noise.mean(axis=-3, keepdims=True)
-    shifts = without_noise(true + noise)
-    assert shifts.mean(axis=-3) == pytest.approx(true.mean(axis=-3) + 0 * shifts.mean(axis=-3))
-    off = shifts - shifts.mean(axis=-3, keepdims=True)
-    expected = true - true.mean(axis=-3, keepdims=True)
-    assert np.sqrt((off**2).mean()) == pytest.approx(
-        kept * np.sqrt((expected**2).mean()), rel=0.05, abs=0.02
-    )

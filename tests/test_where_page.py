@@ -22,9 +22,8 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
-from rtcal.report import of_finding, room_view, verification_words
+from rtcal.report import of_finding
 from rtcal.report.document import page_files
-from rtcal.report.room_view import ABOVE, into_picture
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -120,11 +119,8 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
 ) -> None:
     result = verification_of(PAIRS, {"before": 3.0, "plain": plain, "corrected": corrected})
     assert result.verdict == verdict
-    assert result.sentence.startswith(f"The correction is {verdict}")
-    assert result.sentence.count("not fitted") == 1
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05
-    assert " ± " in str(verification_words.gaps(result).rows[0].values[0])
 
 
 @pytest.mark.parametrize("name", ["t20", "edt"])
@@ -162,16 +158,6 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     result = verification_of(PAIRS, means, 0.001, change)
     assert (result.by_seed[2] < result.by_seed[1]).all()
     assert result.verdict == "unproven"
-
-
-@pytest.mark.parametrize("surface", [f"wall {i}" for i in range(6)])
-def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None:
-    """From behind, it would be an outline."""
-    finding = finding_of({surface: 1.0})
-    (room,) = room_view.of_finding(finding, None)
-    turn = json.loads(room.data)["turn"]
-    normals = finding.case.geometry.normals[finding.case.faces[surface]]
-    assert (normals @ into_picture(turn, ABOVE) > 0).all()
 
 
 def test_the_page_begins_with_the_answer_and_the_three_bars(

@@ -11,7 +11,7 @@ import rtcal as rt
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions.problem import materials, on_parts, shifts
-from rtcal.finder.positions.surfaces import divided, face_at, patched
+from rtcal.finder.positions.surfaces import divided, patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
@@ -95,19 +95,6 @@ def test_the_same_paths_are_traced_in_the_divided_geometry(
     assert len(case.divided.geometry.faces) > len(whole.geometry.faces)
     there, here = (t.observe(alpha, MATCH, seed=1).values for t in (parts, whole))
     assert there == pytest.approx(here, abs=1e-3)
-
-
-def test_the_middle_of_a_part_is_on_its_surface() -> None:
-    """The mean of an L-shaped floor's corners lies beside it."""
-    plan = [(0, 0), (14, 0), (14, 2), (2, 2), (2, 14), (0, 14)]
-    level = [[(x, y, z) for x, y in plan] for z in (0.0, 3.0)]
-    ends = zip(plan, [*plan[1:], plan[0]], strict=True)
-    walls = [[(*a, 0.0), (*b, 0.0), (*b, 3.0), (*a, 3.0)] for a, b in ends]
-    faces = [(f"face {i}", "plaster", f) for i, f in enumerate([*level, *walls])]
-    solid = Polyhedron.from_polygons(faces)
-    made = divided(solid, surfaces.of_geometry(solid))
-    assert made.parts
-    assert max(face_at(solid, np.array(part.middle))[1] for part in made.parts) < 1e-6
 
 
 def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:

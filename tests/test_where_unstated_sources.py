@@ -69,6 +69,17 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
 
 
 @pytest.mark.long
+def test_where_a_directivity_is_unknown_times_alone_are_asked(
+    measured: rt.Measurement, kept: Path
+) -> None:
+    simulator = box(n_paths=800, directivity=dict.fromkeys(SPEAKERS, "unknown"))
+    found = rt.find(rt.finder.PositionsCase(simulator=simulator, measured=measured), cache=kept)
+    assert found.parameters == ("t20",)
+    assert found.verdict == "none"
+    assert found.surface is None
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("off", [0.0, -1.5, 1.5], ids="{:+g} dB".format)
 def test_an_index_that_is_off_is_not_claimed_of_the_room(
     measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, off: float

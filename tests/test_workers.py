@@ -8,31 +8,22 @@ import pickle
 import shutil
 import signal
 import socket
-import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from threadpoolctl import threadpool_info
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.command.main import cli
-from rtcal.finder import control_rooms
-from rtcal.finder.means import engines
 from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import simulated_controls
 from rtcal.support import workers
 from rtcal.support.errors import ClusterError, DataError, MissingDependencyError, TooShortError
-from rtcal.support.speed import single_threaded_blas
 from rtcal.support.workers import workforce
 from tests.conftest import run
 from tests.test_where import measured, stated, tracing
@@ -57,10 +48,6 @@ def with_workers(cluster: Any, number: int) -> str:
         assert time.monotonic() < end, "the workers do not start"
         time.sleep(0.05)
     return str(cluster.scheduler_address)
-
-
-def end_a_worker(cluster: Any) -> None:
-    os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
 
 
 # Tasks --------------------------------------------------------------------------------------------
@@ -92,35 +79,22 @@ def refused(job: int) -> int:
     raise rt.errors.of_bands(TooShortError("too short"), [2])
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-def test_results_come_in_the_order_of_the_jobs_on_threads(threads: int) -> None:
+@pytest.mark.parametrize("where", [1, 3, "cluster"])
+def test_results_steps_and_errors_come_in_the_order_of_the_jobs(
+    where: int | str, request: pytest.FixtureRequest
+) -> None:
     told: list[tuple[int, int]] = []
-    with workforce(threads=threads) as some:
-        assert [*some.in_order(square, range(9), lambda *at: told.append(at))] == [
-            n * n for n in range(9)
-        ]
+    if where == "cluster":
+        made = workforce(with_workers(request.getfixturevalue("cluster"), 2))
+    else:
+        made = workforce(threads=where)
+    with made as some:
+        squares = [*some.in_order(square, range(9), lambda *at: told.append(at))]
+        assert squares == [n * n for n in range(9)]
         assert told == [(n, 9) for n in range(1, 10)]
         told.clear()
-        assert [*some.in_order(in_steps, range(2), lambda *at: told.append(at), steps=3)] == [0, 1]
-        assert told == [(n, 6) for n in range(1, 7)]
-        with pytest.raises(TooShortError, match="too short"):
-            next(some.in_order(refused, [0]))
-
-
-def test_results_steps_and_errors_come_from_the_cluster(cluster: Any) -> None:
-    told: list[tuple[int, int]] = []
-    with workforce(with_workers(cluster, 2)) as some:
-        assert some.size == 2
-        assert [*some.in_order(square, range(9), lambda *at: told.append(at))] == [
-            n * n for n in range(9)
-        ]
-        assert told == [(n, 9) for n in range(1, 10)]
-        told.clear()
-        assert [*some.in_order(in_steps, range(3), lambda *at: told.append(at), steps=3)] == [
-            0,
-            1,
-            2,
-        ]
+        steps = some.in_order(in_steps, range(3), lambda *at: told.append(at), steps=3)
+        assert [*steps] == [0, 1, 2]
         assert told == sorted(told)
         assert {total for _, total in told} == {9}
         with pytest.raises(TooShortError, match="too short") as caught:
@@ -139,16 +113,12 @@ def test_a_worker_that_dies_costs_its_task_alone(cluster: Any, tmp_path: Path) -
 def test_a_task_that_ends_every_worker_is_refused(cluster: Any, tmp_path: Path) -> None:
     with workforce(with_workers(cluster, 2)) as some:
         task = partial(counted, tmp_path, 0, 99)
-        with pytest.raises(
-            ClusterError, match=r"ended several workers of tcp.* give each worker more"
-        ):
+        with pytest.raises(ClusterError, match=r"ended several workers of tcp.* give each worker"):
             [*some.in_order(task, range(2))]
 
 
 def test_a_worker_of_another_version_is_refused() -> None:
-    with pytest.raises(
-        ClusterError, match=r"a worker has rtcal .* this machine rtcal 0\.0: install"
-    ):
+    with pytest.raises(ClusterError, match=r"a worker has rtcal .* this machine rtcal 0\.0"):
         workers._on_worker("0.0", square, 1)
 
 
@@ -157,15 +127,8 @@ def test_a_worker_of_another_version_is_refused() -> None:
 
 @pytest.mark.parametrize("address", ["node1", "tcp://node1", "node1:8786", "", 5, "http://a:1"])
 def test_an_address_of_another_form_is_named(address: Any) -> None:
-    with pytest.raises(
-        ClusterError, match="must be an address with a port, such as tcp://node1:8786"
-    ):
+    with pytest.raises(ClusterError, match="must be an address with a port"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler=address)
-
-
-def test_a_command_names_an_address_of_another_form_before_it_reads_a_file() -> None:
-    refused = CliRunner().invoke(cli, ["find", "none.toml", "none.csv", "--scheduler", "node1"])
-    assert isinstance(refused.exception, ClusterError)
 
 
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -186,39 +149,8 @@ def test_a_scheduler_without_workers_is_named(
     cluster: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers, "_PATIENCE", 1.0)
-    with pytest.raises(
-        ClusterError, match="has no workers after 1 s: start some with `dask worker"
-    ):
+    with pytest.raises(ClusterError, match="has no workers after 1 s: start some with `dask"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler=with_workers(cluster, 0))
-
-
-ALONE = """
-import time
-from distributed import LocalCluster
-if __name__ == "__main__":
-    settings = {"processes": False, "protocol": "tcp://", "dashboard_address": ":0"}
-    with LocalCluster(n_workers=1, **settings) as cluster:
-        print(cluster.scheduler_address, flush=True)
-        time.sleep(60)
-"""
-
-
-@pytest.mark.long
-def test_a_scheduler_that_is_lost_is_named(tmp_path: Path) -> None:
-    pytest.importorskip("distributed", reason="needs the extra cluster")
-    (tmp_path / "alone.py").write_text(ALONE)
-    root = str(Path(__file__).parents[1])  # where the child finds the task, `square`
-    env = {**os.environ, "PYTHONPATH": root}
-    child = subprocess.Popen(
-        [sys.executable, "alone.py"], cwd=tmp_path, stdout=subprocess.PIPE, env=env
-    )
-    assert child.stdout is not None
-    address = child.stdout.readline().decode().strip()
-    with pytest.raises(ClusterError, match=f"the scheduler {address} was lost"):  # noqa: SIM117
-        with workforce(address) as some:
-            for _ in some.in_order(square, range(1000)):
-                child.kill()
-    child.wait()
 
 
 def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,30 +171,6 @@ def test_two_states_have_no_work_for_a_cluster(tmp_path: Path) -> None:
 
 
 # The same numbers ---------------------------------------------------------------------------------
-
-
-def few_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = {name: replace(engine, setups=4) for name, engine in engines.ENGINES.items()}
-    monkeypatch.setattr(engines, "ENGINES", made)
-
-
-def test_reference_rooms_are_the_same_where_a_worker_dies_in_mid_run(
-    cluster: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    few_rooms(monkeypatch)
-    case, _ = rt.datasets.hidden_room()
-    here = control_rooms(case)
-    told: list[tuple[str, int, int]] = []
-
-    def progress(*step: Any) -> None:
-        told.append(step)
-        if len(told) == 2:
-            end_a_worker(cluster)
-
-    there = control_rooms(case, progress=progress, scheduler=with_workers(cluster, 2))
-    assert told == [(name, n, 4) for name in engines.ENGINES for n in (1, 2, 3, 4)]
-    for one, other in zip(here, there, strict=True):
-        assert np.array_equal(one.errors, other.errors)
 
 
 def runs_of(**options: Any) -> tuple[np.ndarray, list[tuple[int, int]]]:
@@ -310,25 +218,6 @@ def test_a_tracing_is_sent_without_its_paths() -> None:
     content = pickle.dumps(tracer)
     assert len(content) < 100_000 < sum(paths.nbytes for paths in tracer._traced.values())
     assert np.array_equal(pickle.loads(content).observe(room.alpha, seed=3).values, before)
-
-
-def test_blas_stays_at_one_thread_until_the_last_context_ends() -> None:
-    before = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
-    entered, leave = threading.Event(), threading.Event()
-
-    def first() -> None:
-        with single_threaded_blas():
-            entered.set()
-            leave.wait(10)
-
-    thread = threading.Thread(target=first)
-    thread.start()
-    assert entered.wait(10)
-    with single_threaded_blas():
-        leave.set()
-        thread.join(10)
-        assert {p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"} == {1}
-    assert {p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"} == before
 
 
 def room_with_pairs(folder: Path) -> None:

@@ -254,7 +254,7 @@ def json_object(text: str) -> dict[str, Any]:
     except ValueError as error:
         raise DataError(f"not valid JSON: {error}{_decimal_comma(text, error)}") from error
     if not isinstance(value, dict):
-        raise DataError(f"the file must hold one JSON object: {...}")
+        raise DataError("the file must hold one JSON object: {...}")
     _check_levels(value)
     return value
 

@@ -799,8 +799,8 @@ class CoveredSurface(WrongStatement):
         "share": Parameter(within=(0.0, 1.0), unit="of its area covered"),
     }
     removable: ClassVar[bool] = True
-    # A cover has 0.02 to 0.1, not HARD: some 6 % of what a panel absorbs. Chosen on twelve rooms of
-    # tests/seams/turned_panels.py, whose 90 % intervals hold all shares; with 0.25 T is 12 % off.
+    # A cover has 0.02 to 0.1, not HARD: some 6 % of what a panel absorbs. Chosen on twelve rooms as in
+    # tests/seams/test_turned_panels.py, whose 90 % intervals hold all shares; with 0.25 T is 12 % off.
     size_error: ClassVar[float] = 0.1
     stands_on: ClassVar[Sequence[str]] = ("floor", "wall", "ceiling")
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)

@@ -110,7 +110,6 @@ def test_coefficients_carry_less_of_what_the_room_explains(stated: dict[str, flo
     assert np.abs(taken[1].gap_after).mean() > np.abs(taken[0].gap_after).mean()
     # Each coefficient is as uncertain as before, or more: the same data tell less.
     assert (taken[1].room.sigma >= taken[0].room.sigma * (1 - 1e-9)).all()
-    assert any("volume 10 %" in note or "areas" in note for note in taken[1].notes)
     # The equation's own calibration shares out T alike.
     t = 1.1 * SABINE.reverberation_time(exact)
     measured = rt.Measurement.from_values(exact.centre_frequencies, t20=t)
@@ -143,7 +142,6 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
     expected = rt.calibrate(room, result.outcome.reverberation_time_after, "mle", SABINE)
     np.testing.assert_allclose(result.of_uncertain_room.alpha, expected.alpha, rtol=1e-9)
     assert (result.of_uncertain_room.alpha > result.alpha + 1e-3).all()
-    assert "volume 10 %" in " ".join(str(result).split())
     exact = rt.calibrate_simulator(simulator, room_of(), measured, equation=SABINE, tolerance=0.01)
     assert exact.of_uncertain_room is None
 

@@ -71,18 +71,6 @@ def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str)
             )
 
 
-def test_the_order_of_two_absorbers_leaves_the_total(case: Case) -> None:
-    two = [
-        AppliedEffect("furniture", {"absorption_area": 12.0}),
-        AppliedEffect("opening", {"area": 6.0}),
-    ]
-    one, other = (corrected_case(replace(case, applied=each)).room for each in (two, two[::-1]))
-    assert sorted(one.materials) == sorted(other.materials)
-    np.testing.assert_allclose(
-        rt.Eyring().reverberation_time(one), rt.Eyring().reverberation_time(other), rtol=1e-9
-    )
-
-
 def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case) -> None:
     hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
     found = rt.find(case, only=["volume", "opening"], controls=controls_of(case))

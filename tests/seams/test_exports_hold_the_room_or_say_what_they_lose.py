@@ -21,7 +21,6 @@ import rtcal as rt
 from rtcal.finder.apply import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
-from rtcal.report import figures, of_positions
 from rtcal.simulators import Polyhedron, of_equation
 from tests.conftest import also
 from tests.test_where_corrected import candidate
@@ -217,30 +216,8 @@ def test_the_native_file_holds_everything(kind: str, tmp_path: Path) -> None:
     assert differing(rt.Room.from_dict(json.loads(json.dumps(room.to_dict()))), room) == set()
 
 
-def template(name: str, folder: Path, kind: str) -> Path | None:
-    """Return a list of the two materials as a program has it, or None for a new list."""
-    if kind == "new":
-        return None
-    with_scattering = kind == "with scattering"
-    path = folder / f"given.{name}"
-    flat = {
-        "catt": "ABS floor = <1 2 3 4 5 6>{s} {{9 9 9}}\r\nABS walls = <6 5 4 3 2 1>{s}\r\n",
-        "odeon": "101 floor\r\n" + "\t0.1" * 8 + "\r\n102 walls\r\n" + "\t0.2" * 8 + "\r\n",
-        "bras": "material," + ",".join(f"{f:g}" for f in OCTAVES) + "\nfloor" + ",0.1" * 8
-        + "\nwalls" + ",0.2" * 8 + "\n",
-    }  # fmt: skip
-    if name == "pyroomacoustics":
-        numbers = {n: {"description": "", "coeffs": [0.2] * 8} for n in NAMES}
-        data: dict[str, Any] = {"center_freqs": OCTAVES, "absorption": {"mine": numbers}}
-        if with_scattering:
-            data["scattering"] = {"mine": numbers}
-        path.write_text(json.dumps(data), encoding="utf-8")
-    elif name == "catt":
-        text = flat[name].format(s=" L <10 10 10 10 10 10>" if with_scattering else "")
-        path.write_bytes(text.encode())
-    else:
-        path.write_bytes(flat[name].encode())
-    return path
+LISTS = Path(__file__).parents[1] / "lists"
+"""Lists of the two materials as each program has them, with and without scattering."""
 
 
 @pytest.mark.parametrize("kind", ["stated", "fit", *also("calibrated", "loop", "patch")])
@@ -254,7 +231,8 @@ def test_a_list_holds_what_it_does_not_say(
         room = room.replace(materials=[m.replace(" ", "_") for m in room.materials], surfaces=())
     if given != "new" and kind == "patch":
         pytest.skip("no list has the patch's material")
-    report = module.write(room, path, template=template(name, tmp_path, given))
+    template = None if given == "new" else LISTS / f"{name} {given}"
+    report = module.write(room, path, template=template)
     read = module.read(path)
     frequencies = read.materials[0].centre_frequencies
     others = dict.fromkeys(room.materials, 1.0)
@@ -277,51 +255,6 @@ def test_a_list_holds_what_it_does_not_say(
     assert ("count the measurement twice" in said) == (room.calibration is not None)
     if kind == "fit" and again.scattering is not None:
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["native", "catt", "pyroomacoustics"])
-def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None:
-    """T of the exported room is that of the fit, whose scattering was fitted."""
-    result = fitted()
-    draw = {"plan.png": lambda: figures.position_gaps(result, GEOMETRY, SOURCES, RECEIVERS)}
-    figures.write_folder(result, tmp_path, draw)
-    room = rt.Room.from_file(str(tmp_path / "room.toml"))
-    shared = list(range(8))
-    if name != "native":
-        FORMATS[name].write(room, tmp_path / name)
-        listed = FORMATS[name].read(tmp_path / name)
-        areas = dict(zip(room.materials, room.areas, strict=True))
-        read = listed.room(name="hall", volume=room.volume, areas=areas)
-        shared = [list(room.centre_frequencies).index(f) for f in read.centre_frequencies]
-        columns = {n: np.array(getattr(room, n)) for n in ("alpha", "scattering")}
-        for field, values in columns.items():
-            values[:, shared] = getattr(read, field)
-        room = room.replace(**columns)
-    again = geometry_files.path_tracing(room, n_paths=6400)
-    of_fit = replace(result.tracer, n_paths=6400)
-    heard, fit, first = (
-        tracer.simulate(alpha, seed=3).mean("t20")[shared]
-        for tracer, alpha in (
-            (again, room.alpha),
-            (of_fit, result.alpha),
-            (replace(of_fit, scattering=np.full((2, 8), 0.1)), result.alpha),
-        )
-    )
-    # CATT has whole percents: half of one, of the mean absorption.
-    rounding = 0.005 / (result.alpha.T @ room.areas / room.total_area)[shared]
-    assert (np.abs(heard / fit - 1) <= (rounding if name == "catt" else 1e-9)).all()
-    assert np.abs(first / fit - 1).max() > 0.03
-
-
-def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
-    """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
-    result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
-    assert "--scattering-model" not in str(of_positions.command(result))
-    other = replace(result, prior=result.prior.replace(scattering_model="vector"))
-    assert "--scattering-model random" in str(of_positions.command(other))
-    kept = replace(result, scattering=None)
-    assert "--scattering-model vector" in str(of_positions.command(kept))
 
 
 def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:

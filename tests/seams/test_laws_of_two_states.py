@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks.studies.means import real_data
-from benchmarks.studies.states import two_states
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
 from rtcal.report.pages import page as page_of_result
@@ -110,37 +108,6 @@ def test_exchanged_states_mirror_the_answer(two: Callable[[], Two]) -> None:
         np.testing.assert_allclose(other.gaps, -one.gaps, rtol=1e-6, atol=1e-9)
 
 
-@pytest.fixture
-def real(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(real_data, "DATA", shared_data)
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("real")
-def test_exchanged_real_states_mirror_the_answer_and_no_turned_panel_is_a_climate() -> None:
-    laboratory = two_states.box("laboratory", two_states.LABORATORY, two_states.OCTAVES)
-    panels = two_states.dechorate()
-    small = two_states.box(
-        "dEchorate", (5.705, 5.965, 2.355), panels[two_states.STEPS[0]].centre_frequencies
-    )
-    changes = [
-        *(
-            (laboratory, *(two_states.laboratory(s, False) for s in of))
-            for of in (["000", "050"], ["R", "100"])
-        ),
-        *(
-            (small, panels[a], panels[b])
-            for a, b in zip(two_states.STEPS, two_states.STEPS[1:], strict=False)
-        ),
-        (two_states.studio(), two_states.ptb("open"), two_states.ptb("closed")),
-    ]
-    for two in changes:
-        there, back = both_ways(two)
-        assert_mirrored(there, back)
-        assert there.family is not None
-        assert "absorption" in there.family
-
-
 @pytest.mark.long
 def test_the_same_state_twice_is_no_change() -> None:
     """One file given twice, of one to fewer digits, and of one that was measured again."""
@@ -191,14 +158,10 @@ def test_an_option_without_effect_is_refused() -> None:
     assert "air" not in dry.probabilities
     assert dry.climate == 0
     for options in ({"without": ["volume"]}, {"without": ["coefficients"]}, {"only": ["formula"]}):
-        with pytest.raises(
-            rt.errors.DataError, match=r"which is not an effect of this search.*air"
-        ):
+        with pytest.raises(rt.errors.DataError, match=r"which is not an effect"):
             rt.find(stated, after, before=before, **options)
     for name, value in {"cache": "folder", "progress": print, "prior": {}, "most": 2}.items():
-        with pytest.raises(
-            rt.errors.DataError, match=f"{name} cannot be used in a search for what changed"
-        ):
+        with pytest.raises(rt.errors.DataError, match=f"{name} cannot be used in a search"):
             rt.find(stated, after, before=before, **{name: value})
     volume = [e for e in rt.finder.library() if e.name == "volume"]
     with pytest.raises(rt.errors.DataError, match="none of the effects adds absorption"):

@@ -75,38 +75,11 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (
-            'mesh = "room.obj"',
-            'mesh = "room.obj"\nunit = 0.001',
-            "179 m³ in m (unit = 1)",
-        ),
-        (
-            'mesh = "room.obj"',
-            'mesh = "room.obj"\nunit = 10',
-            "with unit = 1 in [geometry] both agree",
-        ),
-        (
-            'mesh = "room.obj"',
-            'mesh = "room.obj"\nunit = 0.0254',
-            "with unit = 1 in [geometry] both agree, and so do the areas",
-        ),
-        (
-            'mesh = "room.obj"',
-            'mesh = "room.obj"\nunit = 0.3048',
-            "with unit = 1 in [geometry] both agree, and so do the areas",
-        ),
-        (
-            "volume = 179.20000000000002",
-            "volume = 179200",
-            "volume = 1.792e+05 m³ is 1000 times the 179.2 m³ of the mesh: check its decimal point",
-        ),
-        ("volume = 179.20000000000002", "volume = 17.92", "volume = 17.92 m³ is 0.1 times"),
+        ('mesh = "room.obj"', 'mesh = "room.obj"\nunit = 0.001', "179 m³ in m (unit = 1)"),
+        ('mesh = "room.obj"', 'mesh = "room.obj"\nunit = 0.3048', "with unit = 1 in [geometry]"),
+        ("volume = 179.20000000000002", "volume = 179200", "volume = 1.792e+05 m³ is 1000 times"),
         (r"area = ([\d.]+)", r"area = \g<1>e2", 'area of "parquet" = 5600 m² is 100 times'),
-        (
-            "area = 12.8",
-            "area = 128",
-            'area of "glass" = 128 m² is 10 times the 12.8 m² of the mesh',
-        ),
+        ("area = 12.8", "area = 128", 'area of "glass" = 128 m² is 10 times the 12.8 m²'),
     ],
 )
 def test_another_unit_between_room_and_mesh_is_refused(

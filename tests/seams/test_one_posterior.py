@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import rtcal as rt
 from benchmarks.studies.calibrations import interval_coverage
@@ -101,40 +99,6 @@ def test_some_of_these_values_stand_at_a_bound() -> None:
     assert (result.interval[0] < 0.98).all()
 
 
-@pytest.mark.long
-def test_between_bounds_the_distribution_is_a_mean_over_the_sum() -> None:
-    """Two coefficients, one cut by its bound, by quadrature over the sum and the first one."""
-    stated = rt.Room(
-        name="r",
-        volume=200,
-        materials=["a", "b"],
-        areas=[20, 30],
-        alpha=[[0.05], [0.3]],
-        sigma=[[0.05], [0.06]],
-        centre_frequencies=[1000],
-        air=rt.Air(20, 50),
-    )
-    t = EYRING.time(stated, np.array([7.0]))
-    data = rt.Measurement(
-        centre_frequencies=[1000], values={"t20": t[None]}, uncertainty={"t20": 0.2 * t[None]}
-    )
-    result = rt.calibrate(stated, data)
-    b, u = float(result.target[0]), float(result.target_uncertainty[0])
-    a = np.linspace(0, 1, 4001)
-    below = np.zeros(len(a))
-    for c in np.linspace(max(1e-6, b - 6 * u), b + 6 * u, 1001):
-        other = (c - 20 * a) / 30
-        log = stats.norm(0.05, 0.05).logpdf(a) + stats.norm(0.3, 0.06).logpdf(other)
-        log[(other < 0) | (other > 1)] = -np.inf
-        density = np.exp(log - log.max())
-        share = np.append(0.0, np.cumsum(density[1:] + density[:-1]))
-        below += stats.norm(b, u).pdf(c) * share / share[-1]
-    below /= below[-1]
-    known = distribution(result)
-    for p in (0.05, 0.3, 0.5, 0.7, 0.95):
-        assert np.interp(known.quantile(p)[0, 0], a, below) == pytest.approx(p, abs=0.003)
-
-
 def test_samples_have_the_uncertainty_of_time_too() -> None:
     """A constraint that never binds leaves the same distribution."""
     stated = room(4)
@@ -177,12 +141,3 @@ def test_the_interval_covers(method: str) -> None:
     weight, share = np.array([[row[1], row[4]] for row in found]).T
     assert weight @ share / weight.sum() == pytest.approx(0.9, abs=0.03)
     assert len({row[1] for row in found}) == interval_coverage.MOST
-
-
-def test_the_rooms_of_the_study_are_what_it_says() -> None:
-    drawn = [interval_coverage.draw(seed) for seed in range(24)]
-    again = interval_coverage.draw(3)
-    assert [d.truth.size for d in drawn[:8]] == list(range(1, 9))
-    np.testing.assert_array_equal(again.truth, drawn[3].truth)
-    assert all(((d.truth >= 0) & (d.truth <= 1)).all() for d in drawn)
-    assert dataclasses.asdict(again)["relative"] == drawn[3].relative

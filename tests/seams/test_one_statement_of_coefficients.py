@@ -25,8 +25,6 @@ def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> 
     found = result.plausibility
     assert found.p_together == pytest.approx(stats.chi2.sf(q, room.n_bands), rel=1e-9)
     assert found.p_together > 100 * found.p_value
-    assert "common error of all coefficients, 1 of 100 rooms would" in " ".join(str(result).split())
-    assert "rtcal find" in result.verdict.text
 
 
 def test_what_errors_in_common_explain_is_no_contradiction() -> None:

@@ -70,9 +70,7 @@ def test_in_a_table(named: bool) -> None:
     )
     assert "5 of S1 to R1" in str(table)
     if not named:
-        with pytest.raises(
-            DataError, match=r"given twice. If they are repeats at one position, use repeats=True"
-        ):
+        with pytest.raises(DataError, match=r"given twice. If they are repeats at one position"):
             rt.io.tables.parse(content)
 
 

@@ -73,8 +73,6 @@ def test_a_parameter_that_leaves_is_named(cost: float) -> None:
     assert result.farther == (("c80",) if cost else ())
     said = " ".join(str(result).split())
     assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
-    assert "C80 / dB measured" in said
-    assert "C80 / dB after" in said
 
 
 def by_hand(folder: Path, cost: float, options: Sequence[str]) -> tuple[Loop, str, str]:
@@ -117,24 +115,6 @@ def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
     assert np.abs(after).max() == pytest.approx(0.0, abs=1e-9) or cost
     for said in (printed, html):
         assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
-        assert "C80 / dB after" in said
-        assert "EDT / s measured" in said
-
-
-@pytest.mark.long
-def test_weights_are_an_option_and_what_they_cost_is_shown(tmp_path: Path) -> None:
-    options = ("--weight", "t20=1", "--weight", "edt=0.5")
-    loop, printed, html = by_hand(tmp_path, 0.0, options)
-    np.testing.assert_allclose(loop.matched.shares["edt"], 1 / 3)
-    assert set(loop.beside) == {"c80"}
-    compromise = loop.compromise
-    # EDT was measured 10 % shorter, 2 JND, and simulated as long: T20 gives up a third of it.
-    np.testing.assert_allclose(compromise["t20"].after, -2 / 3, atol=0.3)
-    np.testing.assert_allclose(compromise["edt"].after, 4 / 3, atol=0.5)
-    for said in (printed, html):
-        assert "EDT lost / JND" in said
-        assert "T20 lost / JND" in said
-    assert "--weight t20=0.667 --weight edt=0.333" in html
 
 
 @pytest.mark.parametrize("cost", [300.0, *also(0.0)])
@@ -154,32 +134,6 @@ def test_every_position_shows_it_too(cost: float) -> None:
     np.testing.assert_allclose(result.beside.gap_after[0], after, atol=1e-6)
     assert result.farther == (("c80",) if cost else ())
     printed = " ".join(str(result).split())
-    assert "Not matched: deviation / JND, before to after the fit pair C80" in printed
     html = pages.page(result)
-    assert "Not matched: deviation / JND" in html
     for said in (printed, html):
         assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
-
-
-@pytest.mark.long
-def test_a_tracer_has_at_its_end_what_was_not_matched() -> None:
-    hall = rt.datasets.halls.corridor()
-    tracer = rt.simulators.PathTracing(
-        geometry=hall.geometry,
-        room=hall.room,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=320,
-        scattering=0.5,
-    )
-    measured = tracer.simulate(hall.room.alpha * 1.1, seed=3)
-    rng = np.random.default_rng(1)
-    errors = 0.1 * rng.normal(size=(4, 2, len(tracer.pairs), hall.room.n_bands))
-    controls = rt.loop.ControlRuns(parameters=("t20", "ts"), pairs=tracer.pairs, errors=errors)
-    result = rt.calibrate_positions(
-        tracer, hall.room, measured, match=("t20", "ts"), controls=controls, fit_scattering=False
-    )
-    assert result.beside.parameters == ("edt", "c50", "c80")
-    heard = result.weighed.observe(result.alpha, result.beside.parameters, seed=result.seed)
-    # The paths of the fit were followed for another time, so the ends of the decays differ a little.
-    np.testing.assert_allclose(result.beside.after.values, heard.values, atol=1e-3)
