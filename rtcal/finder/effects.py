@@ -46,7 +46,10 @@ Limits = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Parameter:
-    """Describe a parameter of an effect: the values that are tried, its limits, unit and words."""
+    """Describe a parameter of an effect, such as the thickness of a porous layer.
+
+    Its fields are the values that are tried, the physical limits, the unit, and words to print.
+    """
 
     tried: Sequence[float] = ()
     """Values of the parameter that are tried; empty where the effect derives them from the room."""
@@ -60,7 +63,7 @@ class Parameter:
     """Whether the parameter has no values between those that are tried."""
 
     def shown(self, name: str, value: float) -> str:
-        """Return the parameter's name and value as text, or the word for its value."""
+        """Return a parameter's value as text: ``thickness 0.06 m``, or the word for the value."""
         if value in range(len(self.words)):
             return self.words[int(value)]
         return f"{name.replace('_', ' ')} {rounded(value, 3)}{' ' * bool(self.unit)}{self.unit}"
@@ -69,8 +72,9 @@ class Parameter:
 class Effect(ABC):
     """Describe something that may be missing from a room's model, such as an opening or a curtain.
 
-    An effect has parameters, such as an area, and a method `change` that adds it to the acoustic state
-    of a room. For an effect of your own, write a subclass.
+    An effect has parameters, one of which is its size (for example its area), and a method `change`
+    that adds it to the acoustic state of a room. `rtcal.find` tries every effect with many values of
+    its parameters. For an effect of your own, write a subclass.
     """
 
     name: ClassVar[str]
@@ -133,59 +137,74 @@ class Effect(ABC):
 
     @property
     def discrete(self) -> list[str]:
-        """Names of the parameters that have no values between those that are tried."""
+        """Names of the parameters that can only have the values that are tried, such as a material."""
         return [name for name, of in self.parameters.items() if of.discrete]
 
     @property
     def kinds(self) -> list[Parameters]:
-        """Every combination of the parameter values that are tried.
+        """Every combination of the values that are tried, for parameters that list such values.
 
-        One empty combination without any.
+        Each combination maps names to values. If no parameter lists values, there is one empty
+        combination.
         """
         tried = {name: of.tried for name, of in self.parameters.items() if len(of.tried)}
         return [dict(zip(tried, values, strict=True)) for values in product(*tried.values())]
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the sets of parameters to try in a room: `kinds`, unless a subclass has others."""
+        """Return the combinations of parameter values that are tried in a room.
+
+        By default they are `kinds`, the same in every room. ``state`` is the room without the effect.
+        """
         return self.kinds
 
     @abstractmethod
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the state of the room with the effect added."""
+        """Return the state of the room with the effect added.
+
+        ``state`` is the room without the effect, and ``parameters`` are the values by name.
+        """
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the states of the room with the effect, one per set of parameters in ``grid``."""
+        """Return the states of the room with the effect, one per combination of parameter values.
+
+        ``state`` is the room without the effect, and ``grid`` has the combinations.
+        """
         return [self.change(state, theta) for theta in grid]
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return the forms that the effect has on a surface: parameters and alpha (n_bands,) each."""
+        """Return alpha of the effect on a surface, for each combination of values that is tried.
+
+        Each item has the parameter values by name and alpha (n_bands,). ``frequencies`` (n_bands,) are
+        in Hz. By default there is none, and the effect is not tried on surfaces.
+        """
         return []
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the prior probability density of n combinations of parameter values, up to a factor.
+        """Return how probable n combinations of parameter values are before the measurement.
 
-        ``parameters`` has n values of each parameter, by name, and ``state`` is the room without the
-        effect. The result is (n,), or a number that all have in common; by default 1. For a parameter
-        above 0 it is the density of its logarithm, for a discrete parameter a probability.
+        The result is a probability density that need not be normalised: (n,), or one number for all; by
+        default 1. ``parameters`` has n values of each parameter, by name, and ``state`` is the room
+        without the effect. For a parameter above 0 it is the density of the parameter's logarithm; for
+        a discrete parameter it is a probability.
         """
         return 1.0
 
     def limits(self, room: Room | None) -> Limits:
         """Return the lowest and highest possible value of each parameter in a room, by name.
 
-        If ``room`` is None, these are the limits in any room. The size of an effect is searched within
-        its limits. A parameter that is not in the result may have any value.
+        If ``room`` is None, these are the limits in any room. A parameter that is not in the result may
+        have any value.
         """
         return {name: of.within for name, of in self.parameters.items()}
 
     def size_limits(self, room: Room) -> tuple[float, float]:
-        """Return the smallest and the largest possible size of the effect in this room."""
+        """Return the smallest and the largest possible size of the effect in a room, in its unit."""
         return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
         """Return how probable this effect is before the measurement, relative to a usual effect.
 
-        A usual effect of the library has 1; an effect with 0.5 is half as probable. By default the
+        Most effects of the library have 1; an effect with 0.5 is half as probable. By default the
         result is `odds`, whatever the ``room``.
         """
         return self.odds
@@ -196,7 +215,10 @@ class Effect(ABC):
         return self.name if material is None else f'{self.name} of "{material}"'
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
-        """Return the name of the room's material that the parameters refer to; None without one."""
+        """Return the name of the material that the effect is about, such as that with a wrong area.
+
+        None if the effect is not about one material of the ``room``.
+        """
         return None
 
     def unit_in(self, parameters: Parameters, room: Room) -> str:
@@ -204,7 +226,10 @@ class Effect(ABC):
         return self.unit
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters in words, without the material and the parameter ``without``."""
+        """Return the parameter values as text, such as "thickness 0.06 m, flow resistivity ...".
+
+        The material and the parameter named ``without`` are left out.
+        """
         known = {self.size: Parameter(unit=self.unit), **self.parameters}
         in_order = [*self.parameters, *(name for name in parameters if name not in self.parameters)]
         return ", ".join(
@@ -218,15 +243,20 @@ class Effect(ABC):
         return False
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
-        """Return the air of the corrected room; by default the room's input air."""
+        """Return the air of the room with the effect.
+
+        By default it is ``stated``, the room's own air.
+        """
         return stated
 
     def errors_over_bands(self, frequencies: Array) -> Array:
-        """Return the relative errors of the change that the effect causes, (n_bands, 2 + n_bands).
+        """Return by how much the effect's equation may err in each band, (n_bands, 2 + n_bands).
 
-        Each column is one standard deviation of an independent error: an error common to all bands, an
-        error that grows with frequency, and n_bands errors that neighbouring bands share in part.
-        ``frequencies`` (n_bands,) are in Hz.
+        The errors are relative to the change of T20, C80 and G that the effect causes. Each column is
+        one standard deviation of an independent error: column 0 is the same in all bands, column 1
+        grows with the distance from 1 kHz in octaves, and the other columns together are an error per
+        band with a correlation of 0.5 between neighbouring octaves. ``frequencies`` (n_bands,) are in
+        Hz.
         """
         common, tilt, rough = self.spectrum_error
         octaves = np.log2(frequencies / 1000)
@@ -235,21 +265,29 @@ class Effect(ABC):
         return np.concatenate([smooth, rough * np.linalg.cholesky(0.5**lag)], axis=1)
 
     def error_over_bands(self, frequencies: Array) -> Array:
-        """Return the covariance of the relative error of the effect's change, (n_bands, n_bands)."""
+        """Return the covariance of the effect's error between bands, (n_bands, n_bands).
+
+        The error is that of the effect's equation, relative to the change of T20, C80 and G that the
+        effect causes (`errors_over_bands`). ``frequencies`` (n_bands,) are in Hz.
+        """
         errors = self.errors_over_bands(frequencies)
         return np.asarray(errors @ errors.T)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area in m² that the effect adds, (n_bands,); None if it adds none."""
+        """Return the absorption area in m² that the effect adds to a room, (n_bands,).
+
+        None if the effect adds no absorption. The arguments are the states without and with the effect.
+        """
         return None
 
 
 class AbsorbingObject(Effect):
     """Describe missing objects whose absorption is proportional to their number, such as people.
 
-    The objects can be taken out of the room again. A size of 1 has the absorption area ``each`` in m²
-    at the octaves from 63 Hz to 8 kHz, and ``of_one`` in m² as a mean from 500 to 2000 Hz. The
-    ``steps`` sizes that are tried absorb ``least`` to ``most`` times as much as the room.
+    The objects can be taken out of the room. A subclass gives in ``each`` the absorption area of one
+    object (a size of 1) in m² at the octaves from 63 Hz to 8 kHz, and in ``of_one`` its mean from 500
+    to 2000 Hz in m². ``steps`` numbers of objects are tried, which absorb from ``least`` to ``most``
+    times as much as the room.
     """
 
     removable: ClassVar[bool] = True
@@ -260,11 +298,11 @@ class AbsorbingObject(Effect):
     each: ClassVar[Sequence[float]] = (1.0,) * 8
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the smallest and largest value of each parameter; the size is 0 or more."""
+        """Return the smallest and largest value of each parameter, by name; a size is 0 or more."""
         return {self.size: (0.0, inf), **super().limits(room)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return every combination of `kinds` with the sizes that are tried in this room."""
+        """Return the numbers of objects that are tried in a room, with every combination in `kinds`."""
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
         sizes = (sizes / self.of_one).tolist()
         return [{**kind, self.size: a} for kind, a in product(self.kinds, sizes)]
@@ -281,9 +319,9 @@ class AbsorbingObject(Effect):
 
 
 class Absorber(AbsorbingObject):
-    """Describe a surface that replaces an area of wall.
+    """Describe a missing absorber that covers an area of wall, such as a porous layer.
 
-    A subclass has its ``name`` and its `spectrum`.
+    A subclass gives its ``name``, and in `spectrum` its absorption coefficient per band.
     """
 
     size: ClassVar[str] = "area"
@@ -293,14 +331,21 @@ class Absorber(AbsorbingObject):
 
     @abstractmethod
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return alpha of the absorber, (n_bands,), which does not depend on its area."""
+        """Return the absorption coefficient alpha of the absorber, (n_bands,), whatever its area.
+
+        ``frequencies`` (n_bands,) are in Hz, and ``parameters`` are the values by name.
+        """
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of all parameters; the size is an area from 0 to that of all surfaces."""
+        """Return the limits of all parameters; the area is from 0 to that of all surfaces, in m²."""
         return {**super().limits(room), self.size: (0.0, _all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return the absorber in each of its `kinds`: parameters, and alpha (n_bands,) on a surface."""
+        """Return alpha of the absorber on a surface, for each combination of values in `kinds`.
+
+        Each item has the parameter values by name and alpha (n_bands,). ``frequencies`` (n_bands,) are
+        in Hz.
+        """
         return [(kind, self._checked_alpha(frequencies, kind)) for kind in self.kinds]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
@@ -322,7 +367,7 @@ class Absorber(AbsorbingObject):
         return self.changes(state, [parameters])[0]
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the states of the room with the absorber, one per set of parameters in ``grid``."""
+        """Return the states of the room with the absorber, one per combination of parameter values."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
         others = [name for name in grid[0] if name != self.size]
@@ -344,7 +389,10 @@ def _all_surfaces(room: Room | None) -> float:
 
 
 def middle_absorption(state: RoomState) -> float:
-    """Return the mean absorption area in m² from 500 to 2000 Hz, or else over all bands."""
+    """Return the absorption area in m² of a room's materials, as a mean from 500 to 2000 Hz.
+
+    If the room has none of these bands, the mean is over all bands.
+    """
     area = state.areas @ state.alpha
     return float(area[bands.is_middle(state.frequencies)].mean())
 
@@ -360,9 +408,10 @@ _SPEED = 343.2
 
 @dataclass(frozen=True)
 class Porous(Absorber):
-    """Describe a porous layer on a rigid wall that is missing from the model (Miki 1990).
+    """Describe a missing porous layer on a rigid wall, by thickness and flow resistivity (Miki 1990).
 
-    The layer is locally reacting. Sound arrives diffusely at angles up to 78°. See also `Curtain`.
+    Sound in the layer travels only across it (local reaction), and arrives diffusely at angles up to
+    78°. For fabric in front of an airspace see `Curtain`.
     """
 
     name: ClassVar[str] = "porous"
@@ -407,11 +456,11 @@ _IMPEDANCE_OF_AIR = 413.0
 
 @dataclass(frozen=True)
 class Curtain(Absorber):
-    """Describe a missing curtain by flow resistance, mass and airspace (Ingard 1994; Kuttruff 2016).
+    """Describe a missing curtain by flow resistance and airspace (Ingard 1994; Kuttruff 2016).
 
-    The impedance of the fabric is its flow resistance r in parallel with i omega m, where m is its mass
-    per area. Behind the fabric is the impedance -i cot(k d cos theta) of plane waves in an airspace of
-    depth d. If d is large, the mean over a band is that of a free curtain, which absorbs on both sides.
+    The impedance of the fabric is its flow resistance r in parallel with that of its mass, i omega m; m
+    is 0.4 kg/m². Behind the fabric is the impedance -i cot(k d cos theta) / cos theta of plane waves in
+    an airspace of depth d. If d is large, the mean over a band is that of a curtain far from any wall.
     """
 
     name: ClassVar[str] = "curtain"
@@ -440,7 +489,10 @@ class Curtain(Absorber):
 
 @dataclass(frozen=True)
 class Resonator(Absorber):
-    """Describe a missing resonance absorber: alpha = a0 / (1 + Q² (f/f0 - f0/f)²) (Cox & D'Antonio)."""
+    """Describe a missing resonance absorber by its frequency f0 and quality factor Q.
+
+    alpha(f) = 0.8 / (1 + Q² (f/f0 - f0/f)²), averaged over each octave (Cox & D'Antonio).
+    """
 
     name: ClassVar[str] = "resonator"
     family: ClassVar[str] = "added absorption, low"
@@ -472,7 +524,11 @@ _QUALITY = 1.2
 
 @dataclass(frozen=True)
 class Membrane(Absorber):
-    """Describe a missing panel before an airspace, resonant at 60 / sqrt(m d) Hz (Cox & D'Antonio)."""
+    """Describe a missing panel in front of an airspace, such as plywood on battens.
+
+    It resonates at 60 / sqrt(m d) Hz, with the mass m in kg/m² and the airspace d in m (Cox &
+    D'Antonio). At the resonance alpha is 0.55.
+    """
 
     name: ClassVar[str] = "membrane"
     family: ClassVar[str] = "added absorption, low"
@@ -526,7 +582,10 @@ _AREA_AT_1_KHZ = "m² of absorption area at 1 kHz"
 
 @dataclass(frozen=True)
 class Audience(AbsorbingObject):
-    """Describe a missing audience in upholstered seats, by the floor area covered (Beranek 1996)."""
+    """Describe a missing audience in upholstered seats, by its absorption area (Beranek 1996).
+
+    It covers floor area, with alpha = 0.86 at 1 kHz. For people who stand or sit apart see `People`.
+    """
 
     name: ClassVar[str] = "audience"
     family: ClassVar[str] = "added absorption, rising"
@@ -541,7 +600,7 @@ class Audience(AbsorbingObject):
     most: ClassVar[float] = 1.3
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of the size, up to an audience that covers all surfaces."""
+        """Return the limits of the absorption area in m²; at most, people cover all surfaces."""
         return {self.size: (0.0, SEATED_ALPHA * _all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -557,7 +616,11 @@ class Audience(AbsorbingObject):
 
 @dataclass(frozen=True)
 class Furniture(AbsorbingObject):
-    """Describe missing hard objects: A = V_obj^(2/3) each, less at low frequencies (EN 12354-6)."""
+    """Describe missing hard objects, such as tables, by their absorption area (EN 12354-6).
+
+    EN 12354-6 gives A = V^(2/3) in m² for an object of the volume V in m³. rtcal lets A fall to 0.45 of
+    its value at 1 kHz towards 63 Hz.
+    """
 
     name: ClassVar[str] = "furniture"
     family: ClassVar[str] = "added absorption, flat"
@@ -571,7 +634,7 @@ class Furniture(AbsorbingObject):
 
 @dataclass(frozen=True)
 class Opening(Absorber):
-    """Describe a missing opening, whose sound energy does not return: alpha = 1 (Sabine; Kuttruff)."""
+    """Describe a missing opening, through which sound energy leaves and does not return: alpha = 1."""
 
     name: ClassVar[str] = "opening"
     family: ClassVar[str] = "added absorption, flat"
@@ -592,9 +655,9 @@ _MATERIAL = Parameter(within=(0.0, inf), discrete=True)
 
 
 class WrongStatement(Effect):
-    """Describe a wrong input value of the room.
+    """Describe a wrong input value of the room, such as an area; base of several effects.
 
-    The parameter ``material`` is the material concerned.
+    If the value is that of a material, the parameter ``material`` is the number of the material.
     """
 
     family: ClassVar[str] = "scale"
@@ -604,10 +667,7 @@ class WrongStatement(Effect):
         return True
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of the parameters.
-
-        The material is the number of one of the room's materials.
-        """
+        """Return the limits of the parameters; a material has a number from 0 to n_materials - 1."""
         limits = super().limits(room)
         if room is None or "material" not in limits:
             return limits
@@ -623,7 +683,7 @@ class WrongStatement(Effect):
 class WrongArea(WrongStatement):
     """Describe a wrong input area of one material, or a wrong number of pieces such as persons.
 
-    Its size is the ratio of the true area or number to the input.
+    The size of the effect is the true area (or number) over the input.
     """
 
     name: ClassVar[str] = "area"
@@ -641,25 +701,28 @@ class WrongArea(WrongStatement):
     """Unit of its ratio."""
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return each material of the room with 0.35 to 2.9 times its input area."""
+        """Return the combinations to try: each material with 0.35 to 2.9 times its input area."""
         ratios = [r for r in np.geomspace(0.35, 2.9, 12) if abs(r - 1) > 0.05]
         both = product(range(len(state.areas)), ratios)
         return [{"material": float(j), "ratio": float(r)} for j, r in both]
 
     def title(self, parameters: Parameters, room: Room) -> str:
-        """Return the title for a sentence, such as ``area of "plaster"``, or the number of pieces."""
+        """Return the effect's name for a sentence: ``area of "plaster"``, ``number of "persons"``."""
         name = self.material(parameters, room)
         if name in room.pieces:
             return f'{self.NUMBER} of "{name}"'
         return super().title(parameters, room)
 
     def unit_in(self, parameters: Parameters, room: Room) -> str:
-        """Return the unit of the ratio, which for pieces is that of their number."""
+        """Return the unit of the ratio: "of the input area", or for pieces "of the input number"."""
         pieces = self.material(parameters, room) in room.pieces
         return self.OF_NUMBER if pieces else self.unit
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return the ratio's probability before the measurement: ln ratio is normal, of spread 0.5."""
+        """Return how probable ratios are before the measurement: ln ratio is normal with sigma = 0.5.
+
+        The result is not normalised.
+        """
         return np.asarray(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -673,9 +736,9 @@ class WrongArea(WrongStatement):
 class WrongVolume(WrongStatement):
     """Describe a wrong input volume, by the ratio of the true volume to the input volume.
 
-    Small errors have the standard deviation of the input volume (`RoomState.volume_sigma`). Larger
-    errors are gross mistakes. Each has a typical ratio: half of the room was not drawn, a length is
-    wrong, or feet were taken for metres.
+    Most wrong volumes are gross mistakes with a typical ratio (`FACTORS`): half of the room was not
+    drawn, a length is wrong, or feet were taken for metres. The others are small errors with the
+    standard deviation of the input volume (`RoomState.volume_sigma`).
     """
 
     FACTORS: ClassVar[Mapping[float, float]] = {
@@ -706,7 +769,7 @@ class WrongVolume(WrongStatement):
     size_error: ClassVar[float] = 0.04
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return volume ratios within four standard deviations of 1, and ratios about the `FACTORS`."""
+        """Return the ratios to try: within four standard deviations of 1, and near gross mistakes."""
         near = self.near(state)
         about = self._mistakes()[:, np.newaxis] + self.WIDTH * np.linspace(-3, 3, self.steps // 2)
         end = np.log(near[-1]["ratio"]) + self.WIDTH
@@ -728,7 +791,10 @@ class WrongVolume(WrongStatement):
         return np.concatenate([logs, -logs])
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return how probable the ratio is before the measurement, as a density of its ln."""
+        """Return how probable ratios are before the measurement, as a density of ln ratio.
+
+        The result is not normalised.
+        """
         logs = np.log(parameters["ratio"])
 
         def normal(about: Array | float, sigma: float) -> Array:
@@ -751,7 +817,7 @@ class WrongVolume(WrongStatement):
 
 @dataclass(frozen=True)
 class WrongFormula(WrongStatement):
-    """Describe a reverberation equation other than the model's: Sabine's, Eyring's or Millington's."""
+    """Describe another reverberation equation than the model's: Sabine's, Eyring's or Millington's."""
 
     name: ClassVar[str] = "formula"
     size: ClassVar[str] = "equation"
@@ -786,7 +852,7 @@ HARD = 0.04
 
 @dataclass(frozen=True)
 class CoveredSurface(WrongStatement):
-    """Describe a hard cover over a share of one material, so that this share hardly absorbs."""
+    """Describe a hard cover over a share of one material; the covered share has alpha = 0.04."""
 
     name: ClassVar[str] = "covered surface"
     family: ClassVar[str] = "less absorption"
@@ -806,9 +872,10 @@ class CoveredSurface(WrongStatement):
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return each surface softer than the cover, with a covered share of 0.12 to 0.9.
+        """Return the combinations to try: 0.12 to 0.9 of each material that absorbs clearly more.
 
-        Pieces such as persons have no surface that can be covered.
+        A material must have a mean alpha above twice that of the cover; if there is none, the most
+        absorbing one is tried. Pieces such as persons have no surface that can be covered.
         """
         middle = np.where(state.walls, state.alpha.mean(1), 0.0)
         rows = np.flatnonzero(middle > 2 * HARD)
@@ -829,7 +896,11 @@ class CoveredSurface(WrongStatement):
 
 @dataclass(frozen=True)
 class NoiseFloor(Effect):
-    """Describe noise N that was not subtracted from the decays: S(t) + N (t_end - t) (ISO 3382)."""
+    """Describe background noise in the measured decays that was not subtracted (ISO 3382-1).
+
+    The integrated decay is then S(t) + N (t_end - t), with the noise power N and the end t_end of the
+    response. Its length is the parameter ``record``, in reverberation times.
+    """
 
     name: ClassVar[str] = "noise floor"
     family: ClassVar[str] = "measurement"
@@ -850,13 +921,13 @@ class NoiseFloor(Effect):
         return replace(state, floor_db=parameters["level"], record=parameters["record"])
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameters in words, the record as the length of the responses."""
+        """Return the parameter values as text, with the length of the responses in T."""
         return super().describe(parameters, without).replace("record ", "length of the responses ")
 
 
 @dataclass(frozen=True)
 class DirectSound(Effect):
-    """Describe a source that is not omnidirectional, whose direct sound changes only C80 and G."""
+    """Describe a directional source, by the change of its direct sound in dB; T does not change."""
 
     name: ClassVar[str] = "direct sound"
     family: ClassVar[str] = "measurement"
@@ -878,7 +949,7 @@ class DirectSound(Effect):
 
 @dataclass(frozen=True)
 class OmittedAir(Effect):
-    """Describe air absorption that the model lacks, or has for a wrong climate (ISO 9613-1)."""
+    """Describe air absorption that is missing from the model, or a wrong climate (ISO 9613-1)."""
 
     name: ClassVar[str] = "air"
     family: ClassVar[str] = "climate"
@@ -899,7 +970,11 @@ class OmittedAir(Effect):
     }
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return a climate's probability before the measurement: even over `INDOORS`, less beyond."""
+        """Return how probable climates are before the measurement: alike in 15 to 30 °C, 20 to 70 %.
+
+        Outside this range the probability falls like a normal density with sigma = 3 K and 10 %. The
+        result is not normalised.
+        """
         out: Array | float = 1.0
         for name, (low, high, tail) in self.INDOORS.items():
             value = np.asarray(parameters[name])
@@ -911,8 +986,8 @@ class OmittedAir(Effect):
         """Return how probable a wrong climate is before the measurement, relative to a usual effect.
 
         The result is 3 if the room has no climate, because every room has air, and 0.3 if it has one.
-        The usual uncertainty of a given climate is allowed for in addition
-        (`Case.climate_uncertainty`).
+        These odds are for errors larger than the uncertainty of the input climate
+        (`Case.climate_uncertainty`), which is always allowed for.
         """
         return 3.0 if room.air is None else 0.3
 
@@ -924,14 +999,14 @@ class OmittedAir(Effect):
         return replace(state, air=attenuation, speed_of_sound=speed)
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the climate in words, with the values that the parameters have."""
+        """Return the climate as text, with the remark that only its attenuation is well known."""
         return (
             f"{super().describe(parameters, without)} (found together: only the attenuation that "
             "they give is known well)"
         )
 
     def contradicts(self, room: Room) -> bool:
-        """Return whether the room's input has a climate, which this effect then replaces."""
+        """Return whether the room's input has a climate, which this effect replaces."""
         return room.air is not None
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
@@ -950,7 +1025,11 @@ def _climate(
 
 @dataclass(frozen=True)
 class NonDiffuse(Effect):
-    """Describe a non-diffuse field: uneven absorption, and a different decay in each direction."""
+    """Describe a non-diffuse field, in which sound decays differently along each axis of the room.
+
+    Its size is the scattering coefficient of the walls (`DirectionalDecay`); with 1 the field is
+    diffuse.
+    """
 
     name: ClassVar[str] = "non-diffuse field"
     family: ClassVar[str] = "field"
@@ -975,10 +1054,7 @@ class NonDiffuse(Effect):
 
 @dataclass(frozen=True)
 class CoupledRoom(Effect):
-    """Describe a missing second room behind an aperture, coupled by energy (Kuttruff.
-
-    Cremer & Mueller).
-    """
+    """Describe a missing second room behind an aperture (`CoupledDecay`)."""
 
     name: ClassVar[str] = "coupled room"
     family: ClassVar[str] = "field"
@@ -1003,10 +1079,10 @@ class CoupledRoom(Effect):
     )
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the combinations of aperture, volume and alpha of the second room that are tried.
+        """Return the combinations to try of the aperture and the second room's volume and alpha.
 
-        ``state`` is that of the first room. The aperture is 0.05 to 1.2 times its absorption area, the
-        second room's volume 0.2 to 3 times its volume, and the second room's alpha 0.02 to 0.3.
+        The aperture is 0.05 to 1.2 times the absorption area of the first room, the second room's
+        volume 0.2 to 3 times its volume, and the second room's alpha 0.02 to 0.3.
         """
         area = middle_absorption(state)
         return [
@@ -1017,7 +1093,7 @@ class CoupledRoom(Effect):
         ]
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of the parameters; the aperture is at most as large as all surfaces."""
+        """Return the limits of the parameters; the aperture is at most the area of all surfaces."""
         return {**super().limits(room), "aperture": (0.0, _all_surfaces(room))}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -1041,7 +1117,7 @@ class CoupledDecay:
 
     @staticmethod
     def together(states: Sequence[RoomState], shapes: Sequence[CoupledDecay]) -> Decay:
-        """Return the decays of n rooms, each with its own coupled room: (n, n_bands, 2) values."""
+        """Return the decays of n states of a room, each with its own second room, (n, n_bands, 2)."""
         c, opening = speeds(states)[:, None], np.ones_like(states[0].frequencies)
         aperture = np.array([[s.aperture] for s in shapes])
         volume = np.array([[s.volume] for s in shapes])
@@ -1157,11 +1233,12 @@ IN_RUN = "a geometrical program computes none"
 def judged_effects(
     effects: Sequence[Effect], directions_known: bool, geometrical: bool = False
 ) -> tuple[tuple[Effect, ...], dict[str, str]]:
-    """Return the effects that can be tried, and the reasons why others cannot, by the effect's name.
+    """Return the effects that can be tried in a room, and why the others cannot, by name.
 
-    ``directions_known`` is True if it is known in which direction the room's surfaces face.
-    ``geometrical`` is True if a geometrical program simulated the model, which already includes some
-    effects. Raises DataError if no effect is left.
+    An effect cannot be tried if it depends on unknown directions of surfaces, or if the geometrical
+    program that simulated the model already includes it. ``directions_known`` says whether it is known
+    in which direction the surfaces face, and ``geometrical`` whether such a program simulated the
+    model. Raises DataError if no effect is left.
     """
     lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
     lacking |= {e.name: IN_RUN for e in effects if e.in_geometry and geometrical}
@@ -1175,19 +1252,19 @@ def judged_effects(
 
 
 def columns(grid: Sequence[Parameters]) -> dict[str, Array]:
-    """Return the values of each parameter over n combinations of parameters, (n,) each."""
+    """Return the values of each parameter by name, (n,) each, from n combinations of values."""
     return {name: np.array(list(map(itemgetter(name), grid))) for name in grid[0]}
 
 
 def checked_grid(
     effect: Effect, state: RoomState, room: Room | None = None
 ) -> Sequence[Parameters]:
-    """Return the combinations of parameters that an effect tries in a room, after a check.
+    """Return the combinations of parameter values that an effect tries in a room, after a check.
 
     Each combination must have the same parameters with finite values, among them the size. Combinations
-    outside the limits in this room (`Effect.limits`) are left out, unless all are outside. ``state`` is
-    the acoustic state of the room without the effect. If ``room`` is None, the limits are those in any
-    room. Raises DataError for a broken rule.
+    outside the effect's limits in this room are left out, unless all are outside. ``state`` is the
+    acoustic state of the room without the effect. If ``room`` is None, the limits are those in any
+    room. Raises DataError if the effect breaks a rule.
     """
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
@@ -1219,11 +1296,11 @@ def checked_grid(
 def beyond(
     effect: Effect, grid: Sequence[Parameters], likeliest: Parameters, room: Room
 ) -> list[Parameters]:
-    """Return the combinations of parameters to try, with more sizes if an extreme size fits best.
+    """Return the combinations of parameter values, with further sizes if the last size fits best.
 
     ``grid`` are the combinations tried so far, and ``likeliest`` is the one that fits best. If its size
-    is the largest or smallest in ``grid``, combinations with up to `_MORE` sizes beyond it are added,
-    within the limits of the ``room``. No size is added towards that with which nothing changes.
+    is the largest or the smallest in ``grid``, up to four further sizes in the same steps are added,
+    within the limits of the ``room``. On the side where the effect vanishes none is added.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])
@@ -1252,10 +1329,10 @@ def check_parameters(
     room: Room | None = None,
     interval: tuple[float, float] | None = None,
 ) -> None:
-    """Raise DataError for parameters that are missing or outside the effect's `Effect.limits`.
+    """Raise DataError if parameters of an effect are missing or outside its limits.
 
-    ``interval`` has both ends of the 90 % interval of the size, which must be within the limits, too.
-    If ``room`` is None, the limits are those in any room.
+    ``interval`` has both ends of the 90 % interval of the size, which must be within the limits, too;
+    None if there is no interval. If ``room`` is None, the limits are those in any room.
     """
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
     for name, (least, most) in limits.items():
@@ -1278,7 +1355,11 @@ def _limits(effect: Effect, room: Room | None) -> Limits:
 
 
 def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-    """Return states of the room with the effect, by parameters; DataError if a state is impossible."""
+    """Return the states of a room with an effect, one per combination of values, after a check.
+
+    ``state`` is the room without the effect, and ``grid`` has the combinations of parameter values.
+    Raises DataError if a state is physically impossible, such as one with a negative volume.
+    """
     where, state = f'effect "{effect.name}": change', state.locked()
     made = added(effect, state, grid)
     for after in made:
@@ -1320,7 +1401,7 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
 
 
 def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-    """Return states of the room with the effect, by parameters, not checked by `changed_states`."""
+    """Return the states of a room with an effect as `changed_states` does, without checking them."""
     where, locked = f'effect "{effect.name}": change', state.locked()
     return _run(where, lambda: effect.changes(locked, grid), grid[0])
 
@@ -1381,10 +1462,10 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """Hold an effect that was added to a model, with its parameters and the 90 % interval of its size.
+    """Hold an effect that was added to a model, its parameters and the 90 % interval of its size.
 
-    Raises DataError if ``effect`` is a name that the library does not have, or if a parameter is
-    missing or outside the effect's `Effect.limits`.
+    ``effect`` is an `Effect`, or the name of one in the library. Raises DataError for an unknown name,
+    and for a parameter that is missing or outside the effect's limits (`Effect.limits`).
     """
 
     effect: Any

@@ -48,7 +48,11 @@ volume is read off drawings, and its error is that of what they leave out."""
 
 
 def volume_sigma_of(room: Room) -> float:
-    """Return the relative standard deviation of a room's volume: its input, or else the usual value."""
+    """Return the relative standard deviation of a room's volume.
+
+    It is the room's ``volume_sigma`` if this is given, else 0.05 for the volume of a mesh and 0.1 for a
+    volume that was typed.
+    """
     if room.volume_sigma > 0:
         return room.volume_sigma
     return VOLUME_TYPED if room.scene.mesh is None else VOLUME_OF_MESH
@@ -56,34 +60,42 @@ def volume_sigma_of(room: Room) -> float:
 
 @dataclass(frozen=True, eq=False)
 class RoomState:
-    """Hold the acoustic data of a room, from which T20, C80 and G are predicted.
+    """Hold the acoustic data of a room, from which the finder predicts T20, C80 and G.
+
+    An effect of your own returns a changed state (`Effect.change`).
 
     Attributes
     ----------
     volume : float
         Volume in m³; ``volume_sigma`` is its relative standard deviation (`volume_sigma_of`).
     areas, alpha, facing : arrays
-        Area of each material in m², (n_materials,); coefficients (n_materials, n_bands); shares of the
-        area that face along x, y and z, (n_materials, 3).
+        Area of each material in m², (n_materials,); its coefficients, (n_materials, n_bands); and the
+        shares of its area whose normal is along x, y and z, (n_materials, 3).
     air : array (n_bands,)
-        Attenuation by air in 1/m.
+        Attenuation of the energy by air in 1/m.
+    frequencies : array (n_bands,)
+        Centre frequencies in Hz.
+    speed_of_sound : float
+        Speed of sound in m/s.
     equation : str
-        Key of a `MeanEquation`.
+        Name of the reverberation equation, such as "eyring".
     covering : array (n_bands,)
-        Contribution of panels and openings to the equation's sum of S_i h(alpha_i), in m²; for Eyring's
-        equation h(alpha) = alpha.
+        Contribution of added panels and openings, in m², to the equation's sum of S_i h(alpha_i) over
+        the materials, where h(alpha) = alpha for Sabine's and Eyring's equations
+        (`rtcal.acoustics.equations.MeanEquation`).
     objects : array (n_bands,)
         Absorption area of free-standing objects in m².
-    floor_db : float
-        Noise level relative to the start of the decay, in a record of ``record`` reverberation times.
+    floor_db : float, optional
+        Noise level in dB relative to the start of the decay; None without noise. ``record`` is the
+        length of the response in reverberation times.
     direct_db : float
-        Level of the direct sound relative to that of an omnidirectional source.
+        Level of the direct sound in dB relative to that of an omnidirectional source.
     walls : array (n_materials,) of bool, or True
-        Whether each material is a surface. Others are pieces such as persons, with their number as
-        area and m² per piece as alpha; they add to the equation's sum of S_i h(alpha_i), as in
-        `rtcal.acoustics.equations.MeanEquation`. True means surfaces alone.
+        Whether each material is a surface. Others are pieces such as persons, whose number is their
+        area and whose m² per piece are their alpha. True means that all are surfaces.
     shape : optional
-        Function that returns the `Decay` of the state; None means a single exponential decay.
+        Object that returns the `Decay` of the state, such as a `CoupledDecay`; None means a single
+        exponential decay.
     """
 
     volume: float
@@ -104,7 +116,7 @@ class RoomState:
     walls: Any = True
 
     def locked(self) -> RoomState:
-        """Return the state with read-only arrays, which an effect of your own cannot change."""
+        """Return the state with read-only arrays, so that an effect of your own cannot change them."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         views: dict[str, Any] = {
             name: read_only_view(values)
@@ -117,7 +129,9 @@ class RoomState:
     def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> RoomState:
         """Return the state of a room with its input values.
 
-        ``facing`` as in `Case`, 1/3 where unknown.
+        ``facing`` (n_materials, 3) are the shares of each material's area along x, y and z, as in
+        `Case`; unknown shares (NaN) count as 1/3. ``equation`` is the name of the reverberation
+        equation.
         """
         return cls(
             volume=room.volume,
@@ -139,7 +153,10 @@ class RoomState:
 
     @property
     def directions_known(self) -> bool:
-        """Whether the directions of a material are known: a share along an axis other than a third."""
+        """Whether it is known in which direction any material faces.
+
+        It is unknown if the shares of all areas along x, y and z are 1/3.
+        """
         return not np.allclose(self.facing, 1 / 3)
 
     @property
@@ -156,7 +173,9 @@ class RoomState:
     def rate(self) -> Array:
         """Decay rate k of the energy in 1/s, (n_bands,), from which T = 6 ln 10 / k.
 
-        k = c (S a + 4 m V + A_objects) / 4 V, with the mean absorption exponent a of the surfaces S.
+        k = c (S a + 4 m V + A) / 4 V, where a is the absorption exponent of the equation (Eyring: -ln(1
+        - mean alpha)), m the attenuation of the air, and A the absorption area of free-standing
+        objects.
         """
         return np.asarray(rates([self])[0])
 
@@ -166,18 +185,22 @@ class RoomState:
         return np.asarray(np.where(self.walls, self.areas, 0.0) @ self.alpha / self.total_area)
 
     def covered(self, area: float, spectrum: Array) -> RoomState:
-        """Return the state with ``area`` m² of wall replaced by a cover of alpha ``spectrum``."""
+        """Return the state with an area of wall in m² replaced by a cover with alpha ``spectrum``.
+
+        ``spectrum`` is (n_bands,). The wall behind the cover has the mean absorption of all surfaces.
+        """
         return covered([self], np.array([area]), np.asarray(spectrum)[np.newaxis])[0]
 
     def with_objects(self, absorption_area: Array) -> RoomState:
-        """Return the state with free-standing objects of this absorption area in m², (n_bands,)."""
+        """Return the state with further free-standing objects, by their absorption area in m²."""
         return replace(self, objects=self.objects + absorption_area)
 
 
 def covered(states: Sequence[RoomState], areas: Array, spectra: Array) -> list[RoomState]:
-    """Return each state of a room with an area of its walls replaced by a cover.
+    """Return n states of a room, in each of which an area of wall is replaced by a cover.
 
-    ``areas`` (n,) in m² and ``spectra`` (n, n_bands), the alpha of the covers, are one for each state.
+    ``areas`` (n,) in m² and ``spectra`` (n, n_bands), the alpha of the covers, have one entry per
+    state. The wall behind a cover has the mean absorption of all surfaces.
     """
     out = list(states)
     for equation, where in _by_equation(states):
@@ -211,12 +234,16 @@ def _stacked(states: Sequence[RoomState]) -> tuple[Array, Array]:
 
 
 def highest(equation: MeanEquation) -> float:
-    """Return the largest mean over the walls that is not so large that T becomes 0."""
+    """Return the largest mean absorption of all surfaces for which an equation gives a T above 0."""
     return (1 - _FROM_ENDS) * equation.largest_mean
 
 
 def mean_contributions(equation: MeanEquation, states: Sequence[RoomState]) -> Array:
-    """Return the equation's mean over the walls, (n, n_bands), within the equation's range."""
+    """Return the mean absorption of all surfaces, as an equation uses it, for n states, (n, n_bands).
+
+    It is the mean absorption coefficient for Eyring's equation, and that of -ln(1 - alpha) for
+    Millington's. It is limited to the range in which the equation gives a finite T above 0.
+    """
     areas, alpha = _stacked(states)
     each = equation.contribution(np.minimum(alpha, equation.largest_alpha))
     if (walls := states[0].walls) is not True:
@@ -227,7 +254,10 @@ def mean_contributions(equation: MeanEquation, states: Sequence[RoomState]) -> A
 
 
 def surface_absorption(states: Sequence[RoomState]) -> Array:
-    """Return S a(alpha) in m² of many states of one room, (n, n_bands)."""
+    """Return the absorption area S a of the surfaces in m², for n states of one room, (n, n_bands).
+
+    a is the absorption exponent of the equation, for Eyring's -ln(1 - mean alpha).
+    """
     out = np.empty((len(states), len(states[0].air)))
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
@@ -242,9 +272,9 @@ def speeds(states: Sequence[RoomState]) -> Array:
 
 
 def rates(states: Sequence[RoomState]) -> Array:
-    """Return the decay rates k of the energy in 1/s in n states of one room, (n, n_bands).
+    """Return the decay rates k of the energy in 1/s, for n states of one room, (n, n_bands).
 
-    k = c (S a + 4 m V + A_objects) / 4 V, with the mean absorption exponent a of the surfaces S.
+    k is calculated as in `RoomState.rate`.
     """
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
@@ -253,7 +283,10 @@ def rates(states: Sequence[RoomState]) -> Array:
 
 
 def sensitivities(states: Sequence[RoomState]) -> Array:
-    """Return d k / d alpha in 1/s of many states, (n, n_materials, n_bands)."""
+    """Return the derivatives of the decay rates k by alpha in 1/s, (n, n_materials, n_bands).
+
+    ``states`` are n states of one room.
+    """
     out = np.empty((len(states), *states[0].alpha.shape))
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
@@ -271,7 +304,12 @@ def sensitivities(states: Sequence[RoomState]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Hold the features (n, n_features, n_bands) of n states, and their derivatives by ln T20."""
+    """Hold T20, EDT, T30, C80 and G as a model predicts them, and their derivatives by ln T20.
+
+    ``features`` (n, 5, n_bands), for n states of a room, are ln T20, ln EDT/T20, ln T30/T20, and C80
+    and G in dB. ``slopes`` are their derivatives, in the same shape, and ``reverberation_time`` (n,
+    n_bands) is T20 in s.
+    """
 
     features: Array
     slopes: Array
@@ -279,7 +317,10 @@ class Predicted:
 
 
 def predict(states: Sequence[RoomState], distance: Array) -> Predicted:
-    """Return the features of many states of one room, (n, n_features, n_bands)."""
+    """Return T20, EDT, T30, C80 and G that a model predicts for n states of one room.
+
+    ``distance`` (n_pairs,) are the source-receiver distances in m, over which C80 and G are averaged.
+    """
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
     shifted = np.empty_like(features)
@@ -389,18 +430,22 @@ _ORDER = 5
 
 @dataclass(frozen=True)
 class DirectionalDecay:
-    """Describe the decay of a box in each direction, for walls with the scattering coefficient s.
+    """Describe the decay of a box whose walls absorb unevenly, with a different decay per direction.
 
     The energy density E(u) in the direction u, and its mean <E> over directions, follow dE(u)/dt =
     -r(u) E - nu (E - <E>). r(u) = c sum_i |u_i| A_i / 2V over the axes i, where A_i is the absorption
-    area of the walls across axis i, and nu = s c S / 4V (after Nilsson 2004 and EN 12354-6, D).
+    area of the walls across axis i. nu = s c S / 4V is the rate at which walls with the scattering
+    coefficient s exchange energy between directions (after Nilsson 2004 and EN 12354-6, D).
     """
 
     scattering: float
 
     @staticmethod
     def together(states: Sequence[RoomState], shapes: Sequence[DirectionalDecay]) -> Decay:
-        """Return the decays of many states, each with its shape and a term for each direction."""
+        """Return the decays of n states of a room, with one exponential term per direction and band.
+
+        ``shapes`` has the scattering coefficient of each state.
+        """
         u, weight = _directions()
         c = speeds(states)[:, None]
         volume = np.array([[s.volume] for s in states])
