@@ -60,11 +60,13 @@ _BIN = 0.001
 
 @dataclass(frozen=True, eq=False)
 class ControlRooms:
-    """Hold the errors of a reverberation equation in reference rooms, as one simulator shows them.
+    """Hold the errors of a reverberation equation in reference rooms, simulated by one simulator.
 
-    ``errors`` (n_rooms, n_configurations, n_features, n_bands) are simulated minus predicted features
-    (ln T20, C80 and others) for the same alpha. Where a program's values replace the equation, a path
-    tracing of the reference room takes the place of the program. ``engine`` is the simulator's name.
+    Reference rooms are boxes like the room, with random coefficients, from which nothing is missing.
+    ``errors`` (n_rooms, n_configurations, 5, n_bands) are simulated minus predicted values of ln T20,
+    ln EDT/T20, ln T30/T20, and C80 and G in dB, for the same coefficients. If the result of a
+    simulation program replaces the equation, they are the differences between the simulator and a path
+    tracing of the same box. ``engine`` is the simulator's name.
     """
 
     engine: str
@@ -72,30 +74,40 @@ class ControlRooms:
 
     @property
     def estimates_bias(self) -> bool:
-        """Whether the mean of the errors estimates the equation's bias; image sources do not."""
+        """Whether the mean of these errors counts as an estimate of the equation's mean error.
+
+        It does not for image sources, which have no scattering; of their errors only the scatter
+        counts.
+        """
         return self.engine not in ENGINES or ENGINES[self.engine].estimates_bias
 
     @property
     def mean(self) -> Array:
-        """Mean of the errors over the reference rooms with a finite value; 0 without any."""
+        """Mean of the errors over the reference rooms, (n_configurations, 5, n_bands).
+
+        Values that are not finite are left out; without any finite value the mean is 0.
+        """
         finite = np.isfinite(self.errors)
         total = np.where(finite, self.errors, 0).sum(0)
         return np.asarray(total / np.maximum(finite.sum(0), 1))
 
 
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
-    """Return the mean error of the equation in each simulator's reference rooms, and a last one of 0.
+    """Return estimates of the equation's mean error: one per simulator, and a last one of 0.
 
-    The shape is (n_estimates, n_configurations, n_features, n_bands). Simulators that do not estimate
-    the bias (`ControlRooms.estimates_bias`) are left out. The estimate of 0 reduces the mean of all,
-    because a second simulator confirms only a part of the bias that the first one shows.
+    The shape is (n_estimates, n_configurations, 5, n_bands). Simulators without scattering give no
+    estimate (`ControlRooms.estimates_bias`). The 0 halves an estimate by a single simulator, because a
+    second simulator usually confirms only a part of it.
     """
     means = [c.mean for c in controls if c.estimates_bias]
     return np.array([*means, np.zeros_like(controls[0].mean)])
 
 
 def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
-    """Return the reference rooms, with the estimated bias where a simulator gives no estimate."""
+    """Return the errors in reference rooms, with a mean error for simulators that give no estimate.
+
+    Their errors are shifted so that the mean is that of `bias_estimates`; the scatter stays.
+    """
     bias = bias_estimates(controls).mean(axis=0)
     return [
         c if c.estimates_bias else ControlRooms(c.engine, c.errors + (bias - c.mean))
@@ -107,8 +119,9 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     """Draw random coefficients of a case's room, (n, n_configurations, n_materials, n_bands).
 
     They are normally distributed with the input alpha, its sigma and the room's correlation between
-    bands, and limited to 0.001 to 0.99 times the largest possible. A material that a configuration
-    changes is drawn independently. The order of materials has no effect on the numbers from ``rng``.
+    bands. Values below 0.001 or above 0.99 are replaced by these limits; pieces such as persons have
+    0.99 times the largest area that a piece may have. A material that a configuration changes is drawn
+    independently. The order of materials has no effect on the numbers from ``rng``.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
@@ -132,11 +145,11 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 
 
 def box(case: Case) -> tuple[Room, Polyhedron, Array]:
-    """Return a case's reference room, its geometry, and the share of each material on each axis.
+    """Return a box with the volume and absorption of a case's room, to be simulated as a reference.
 
-    The reference room is a box with one material for the two walls across each axis. The shares are
-    (n_materials, 3). The product of the shares with the case's alpha is the mean alpha of these walls.
-    Pieces such as persons have no wall: each wall absorbs as much more as they add to the mean alpha.
+    The results are the box as a room, its geometry, and shares (n_materials, 3). The box has one
+    material for each pair of opposite walls; the sum of the shares times the case's alpha is its alpha.
+    Pieces such as persons have no wall: what they add to the mean alpha is added to every wall.
     """
     room = case.room
     walls = np.where(room.is_surface, room.areas, 0.0)
@@ -170,7 +183,10 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
 
 @dataclass(frozen=True)
 class ControlRoom:
-    """A reference room with source and receivers; ``share`` (n_materials, 3) as `box` returns it."""
+    """Hold a reference room with a source and receivers, ready for a simulator.
+
+    ``share`` (n_materials, 3) gives the alpha of its walls from that of the case's materials (`box`).
+    """
 
     room: Room
     geometry: Polyhedron
@@ -182,7 +198,7 @@ class ControlRoom:
 
     @property
     def positions(self) -> dict[str, Any]:
-        """Arguments common to all simulators: the room, the source and the receivers."""
+        """Arguments that all simulators take: the room, its source and its receivers."""
         return {"room": self.room, "sources": {"S": self.source}, "receivers": self.receivers}
 
     @property
@@ -192,7 +208,10 @@ class ControlRoom:
         return np.asarray(np.linalg.norm(self.source - places, axis=1))
 
     def by_axis(self, alpha: Array) -> Array:
-        """Return the walls' alpha (3, n_bands) of the case's alpha (n_materials, n_bands)."""
+        """Return alpha of the walls across each axis, (3, n_bands), from that of the case's materials.
+
+        ``alpha`` is (n_materials, n_bands).
+        """
         return np.clip(self.share.T @ alpha, 0.0, 0.999)
 
     def time(self, alpha: Array) -> Array:
@@ -262,13 +281,13 @@ def _features(energy: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Engine:
-    """Hold a simulator of reference rooms, and how many reference rooms it simulates.
+    """Describe a simulator of reference rooms: how many rooms it simulates, for how long, and how.
 
     ``simulator`` is a function of a reference room and its number, which returns a function that
-    simulates the room. ``stream`` is the number of the simulator's stream of random numbers. ``setups``
-    is the number of reference rooms, each with random coefficients. ``duration`` is the length of the
-    decays in reverberation times. ``models`` are models of scattering, used in turn; empty without
-    scattering. ``estimates_bias`` is False if only the scatter of the errors is used, not their mean.
+    simulates the room. ``stream`` selects the random numbers, so that two simulators do not have the
+    same. ``setups`` is the number of reference rooms, and ``duration`` the length of the decays in
+    reverberation times. ``models`` are models of scattering, used in turn; empty without scattering.
+    ``estimates_bias`` is False if only the scatter of the errors counts, not their mean.
     """
 
     name: str
@@ -286,12 +305,12 @@ class Engine:
         progress: TaskProgress | None = None,
         scheduler: str | None = None,
     ) -> ControlRooms:
-        """Return the errors of the equation in reference rooms of a case, after simulating these rooms.
+        """Simulate the reference rooms of a case, and return the errors of the equation in these rooms.
 
-        In a configuration whose model is the run of a simulation program, a path tracing with the run's
-        coefficients takes the place of the program. The errors are then differences between two
-        geometrical simulations. ``seed`` is that of the random numbers. ``progress`` is called after
-        each room. ``scheduler`` is the address of a Dask scheduler; None simulates on this machine.
+        If the model of a configuration is the result of a simulation program, a path tracing with the
+        program's coefficients takes its place, so that the errors are differences between two
+        simulations. ``seed`` is that of the random numbers. ``progress`` is called after each room.
+        ``scheduler`` is the address of a Dask scheduler; None simulates on this machine.
         """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
@@ -398,7 +417,10 @@ ENGINES: Mapping[str, Engine] = {
 
 
 def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
-    """Return reference rooms, or raise DataError unless they fit the case, of ``least`` simulators."""
+    """Return reference rooms as a tuple; DataError unless they fit the case.
+
+    They must have the configurations and bands of the case, and be of at least ``least`` simulators.
+    """
     every = tuple(
         checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
     )
@@ -431,16 +453,32 @@ def control_rooms(
     cache: str | os.PathLike[str] | None = None,
     scheduler: str | None = None,
 ) -> tuple[ControlRooms, ...]:
-    """Return a case's reference rooms, simulated with two simulators or read from a folder.
+    """Simulate reference rooms for a case, which show how far its reverberation equation errs.
 
-    Reference rooms show how far the equation errs for rooms of this kind. `rtcal.find` uses those of
-    seed 0. Other seeds show how much a verdict depends on the reference rooms: ``find(case,
+    Reference rooms are boxes with the volume and absorption of the case's room and random coefficients,
+    from which nothing is missing. Two simulators are used. `rtcal.find` makes the reference rooms of
+    seed 0; with another seed you see how much a verdict depends on them: ``rt.find(case,
     controls=control_rooms(case, seed=1))``.
 
-    Each file in the folder ``cache`` holds the rooms of one simulator, for this case, seed and version
-    of rtcal. You can delete the folder at any time. If a file cannot be read or written, the rooms are
-    simulated, and no error is raised. ``scheduler`` is the address of a Dask scheduler whose workers
-    simulate; by default threads of this machine do.
+    Parameters
+    ----------
+    case : Case
+        Room and configurations for which reference rooms are made.
+    seed : int
+        Seed of the random numbers.
+    progress : function, optional
+        Called with the simulator's name, and the numbers of finished and of all rooms.
+    cache : path, optional
+        Folder in which the errors of each simulator are kept for this case, seed and version of rtcal.
+        You can delete the folder at any time. If a file in it cannot be read or written, the rooms are
+        simulated, and no error is raised.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers simulate; by default threads of this machine do.
+
+    Returns
+    -------
+    tuple of ControlRooms
+        Errors of the equation, one item per simulator.
     """
     checks.whole("seed", seed, 0)
     where, rooms = None if cache is None else checks.path("cache", cache), []

@@ -8,7 +8,7 @@ of an effect is how well it explains the measurement, in closed form.
 
 y are the features, J Sigma J' their covariance from the prior on alpha and R from the measurement.
 Bias and D are the model's error as reference rooms showed it. M is the error of the effect's change, in
-proportion to it (after Kennedy & O'Hagan 2001): `misfit`. B is the change of the decay's
+proportion to it (after Kennedy & O'Hagan 2001): `_misfit`. B is the change of the decay's
 shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with covariance C
 (`rtcal.finder.evidence.student`). Each hypothesis is evaluated twice: with the coefficients as stated,
 where C has the usual error F F' that they have in common, and off together, with s² F F' for each
@@ -109,11 +109,11 @@ LARGEST_HYPOTHESES = 5000
 
 
 @dataclass(frozen=True, eq=False)
-class PredictedFeatures:
-    """Hold the predicted features of n states of a case's room, such as ln T20, and their derivatives.
+class _PredictedFeatures:
+    """Hold the features that a model predicts for n states of a case's room, and their derivatives.
 
-    ``features`` (n, n_configurations, n_features, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and C80
-    and G in dB. ``slopes`` are their derivatives by ln T20, in the same shape. ``jacobian`` (n,
+    ``features`` (n, n_configurations, 5, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and C80 and G in
+    dB. ``slopes`` are their derivatives by ln T20, in the same shape. ``jacobian`` (n,
     n_configurations, n_materials, n_bands) is -d ln T20 / d alpha.
     """
 
@@ -123,11 +123,12 @@ class PredictedFeatures:
     jacobian: Array
 
     def log_time_errors(self, rows: Indices) -> tuple[Array, Array]:
-        """Return the covariance of ln T20 by coefficients and climate, and its common errors.
+        """Return the covariance of ln T20 from errors of alpha and climate, and its common errors.
 
-        The shapes are (n, size, size) and (n, size, n_directions), where size is the number of
-        configurations times the number of bands. Common errors of ln T20 are those by errors that
-        coefficients have in common, one standard deviation each. ``rows`` number the n states.
+        The covariance is (n, size, size), where size is the number of configurations times that of
+        bands. Common errors (n, size, n_directions) are the changes of ln T20 by one standard deviation
+        of each error that all coefficients have in common; the covariance includes them. ``rows`` are
+        the numbers of the n states.
         """
         sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)
         factor = self.jacobian[rows] * sigma
@@ -154,10 +155,11 @@ _RATE = 6 * np.log(10)
 def predict_in(
     case: Case, configuration: Configuration, states: Sequence[RoomState], far: float = 1.0
 ) -> Predicted:
-    """Return the predicted features (ln T20, C80 and others) of room states in one configuration.
+    """Return what a case's model predicts for states of the room in one configuration.
 
-    ``far`` is a factor on the source-receiver distances. If the configuration has values of a
-    simulation program, the difference between these values and the equation is added to the features.
+    ``far`` is a factor on the source-receiver distances. If the configuration has the result of a
+    simulation program, the difference between this result and the equation's is added to the features,
+    which are ln T20, ln EDT/T20, ln T30/T20, C80 and G.
     """
     made = predict(states, far * distances(case, configuration))
     if configuration.simulated is None:
@@ -168,10 +170,11 @@ def predict_in(
 
 @lru_cache(maxsize=8)
 def offset_of(case: Case, configuration: Configuration) -> Array:
-    """Return a program's features (ln T20, C80 and others) minus the equation's, (n_features, n_bands).
+    """Return the result of a simulation program minus that of the equation, (5, n_bands).
 
-    Program and equation have the coefficients with which the program was run. The result is NaN where
-    the program gave no value, and 0 for a configuration without values of a program.
+    Both are for the coefficients with which the program was run. The rows are ln T20, ln EDT/T20, ln
+    T30/T20, and C80 and G in dB. The difference is NaN where the program gave no value, and 0 for a
+    configuration without a program.
     """
     run = configuration.simulated
     if run is None:
@@ -183,7 +186,7 @@ def offset_of(case: Case, configuration: Configuration) -> Array:
     )
 
 
-def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> PredictedFeatures:
+def _predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> _PredictedFeatures:
     """Return the predictions of states, a list for each configuration."""
     with np.errstate(all="ignore"):  # the caller refuses, or leaves out, what is not finite
         made = [
@@ -193,7 +196,7 @@ def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predict
         # d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha.
         times = [p.reverberation_time[:, None, :] / _RATE for p in made]
         jacobian = [sensitivities(s) * time for s, time in zip(states, times, strict=True)]
-    return PredictedFeatures(
+    return _PredictedFeatures(
         case,
         np.stack([p.features for p in made], axis=1),
         np.stack([p.slopes for p in made], axis=1),
@@ -203,7 +206,7 @@ def predict_states(case: Case, states: Sequence[Sequence[RoomState]]) -> Predict
 
 @lru_cache(maxsize=1)
 def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Array]:
-    """Return what alpha and the climate may be off by, for `PredictedFeatures.log_time_errors`.
+    """Return what alpha and the climate may be off by, for `_PredictedFeatures.log_time_errors`.
 
     Sigma (n_configurations, n_materials, n_bands), which materials changed (n_configurations,
     n_materials, 1), the bands' correlation, `directions`, and the change of k in 1/s by one standard
@@ -232,8 +235,12 @@ def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Arra
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MeansHypotheses(PredictedFeatures):
-    """Hold each effect with every set of its parameters, and the features that the model predicts."""
+class MeansHypotheses(_PredictedFeatures):
+    """Hold the predictions with each effect and each set of its parameter values that are tried.
+
+    Such an effect with values is a hypothesis; the first is "none", without an effect. The predictions
+    are those of `_PredictedFeatures`, with one hypothesis per state.
+    """
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
@@ -273,15 +280,15 @@ class MeansHypotheses(PredictedFeatures):
 def predict_hypotheses(
     case: Case, effects: Sequence[Effect], grids: Sequence[Sequence[Parameters]] | None = None
 ) -> MeansHypotheses:
-    """Return the predicted features (ln T20, C80 and others) with each effect that is tried.
+    """Return the predictions of a case's model with each effect that is tried.
 
-    ``grids`` has, for each of ``effects``, the sets of parameters to try; None means those that the
-    effect proposes. Raises DataError if an effect breaks a rule, or has no finite T, C80 and G.
+    ``grids`` has, for each of ``effects``, the sets of parameter values to try; None means those that
+    the effect proposes. Raises DataError if an effect breaks a rule, or has no finite T, C80 and G.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
         grids = [checked_grid(effect, base[0], case.room) for effect in effects]
-    check_size(case, 1 + sum(map(len, grids)))
+    _check_size(case, 1 + sum(map(len, grids)))
     names, states = [NONE], [[b] for b in base]
     parameters: list[Parameters] = [{}]
     frequencies, n_bands = case.room.centre_frequencies, case.room.n_bands
@@ -294,7 +301,7 @@ def predict_hypotheses(
         for c, unchanged, column in zip(case.configurations, base, states, strict=True):
             absent = c.suspect_removed and effect.removable
             column += [unchanged] * len(grid) if absent else changed_states(effect, unchanged, grid)
-    predicted = predict_states(case, states)
+    predicted = _predict_states(case, states)
     finite = np.isfinite(predicted.features) & np.isfinite(predicted.slopes)
     possible = np.asarray(finite.all((1, 2, 3)))
     if not possible.all():
@@ -322,7 +329,7 @@ def predict_hypotheses(
     )
 
 
-def check_size(case: Case, n_hypotheses: int) -> None:
+def _check_size(case: Case, n_hypotheses: int) -> None:
     """Raise DataError for a case larger than `LARGEST_FEATURES` or `LARGEST_HYPOTHESES`."""
     room, n = case.room, len(case.configurations)
     measured = sum(len(set(c.measured.values) & set(FEATURES)) for c in case.configurations)
@@ -346,11 +353,11 @@ def features_of(
     changed: bool = True,
     far: Array | float = 1.0,
 ) -> Array:
-    """Return the predicted features (ln T20, C80 and others) of a case's model, by configuration.
+    """Return what a case's model predicts in each configuration, (n_configurations, 5, n_bands).
 
-    The shape is (n_configurations, n_features, n_bands). ``applied`` replaces the effects in the model;
-    None keeps them. If ``changed`` is False, the materials that configurations change keep their input
-    coefficients. ``far`` is a factor on the source-receiver distances, one number or
+    The values are ln T20, ln EDT/T20, ln T30/T20, and C80 and G in dB. ``applied`` replaces the effects
+    in the model; None keeps them. If ``changed`` is False, the materials that configurations change
+    keep their input coefficients. ``far`` is a factor on the source-receiver distances, one number or
     (n_configurations,).
     """
     case = case if applied is None else replace(case, applied=applied)
@@ -405,21 +412,22 @@ def _applied(case: Case) -> Array:
 
 
 def _misfit_of_all(change: Array, errors: Array, alone: float) -> Array:
-    """Return the `misfit` of a change of all features, (n_configurations, n_features, n_bands)."""
+    """Return the `_misfit` of a change of all features, (n_configurations, n_features, n_bands)."""
     amount = np.broadcast_to(change[:, :1], change.shape)
     _, feature, band = np.indices(change.shape).reshape(3, -1)
-    return misfit(change.ravel(), amount.ravel(), feature, errors[band], alone)
+    return _misfit(change.ravel(), amount.ravel(), feature, errors[band], alone)
 
 
-def misfit(
+def _misfit(
     d: Array, amount: Array, feature: NDArray[np.intp], errors: Array, alone: Array | float
 ) -> Array:
-    """Return the covariance (..., m, m) of the error of an effect's equation, for m features.
+    """Return the covariance (..., m, m) of the error of an effect's equation, for m values.
 
-    ``d`` (..., m) are the changes of the features, and ``feature`` (m,) their rows in `FEATURES`.
-    ``amount`` (..., m) are the changes of ln T20 in the same band and configuration. ``errors`` (...,
-    m, n_errors) are relative errors that bands have in common (`Effect.errors_over_bands`). ``alone``
-    (...) is the standard deviation of the relative error that each feature has by itself.
+    ``d`` (..., m) are the changes of the values by the effect, and ``feature`` (m,) the numbers of
+    their parameters in `FEATURES`. ``amount`` (..., m) are the changes of ln T20 in the same band and
+    configuration. ``errors`` (..., m, n_errors) are relative errors that bands have in common
+    (`Effect.errors_over_bands`). ``alone`` (...) is the standard deviation of the relative error that
+    each value has by itself.
     """
     columns = _misfit_columns(d, amount, feature, errors)
     own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
@@ -433,7 +441,7 @@ def _misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: 
     """Return the errors of an effect's equation that bands have in common, (..., m, n_errors + 2).
 
     Each column is one standard deviation of an independent error of m features. The last two columns
-    are errors of the decay's shape (`SHAPE_CHANGE`). For the parameters see `misfit`.
+    are errors of the decay's shape (`SHAPE_CHANGE`). For the parameters see `_misfit`.
     """
     shape = [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
     parts = np.sqrt(0.5) * np.stack(shape, axis=-1)
@@ -454,11 +462,12 @@ ONE_LEVEL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ObservedFeatures:
-    """Hold the measured features, such as ln T20; NaN where nothing was measured.
+    """Hold the measured values that are compared with a model, and their covariance.
 
-    ``features`` are (n_configurations, n_features, n_bands), and ``used`` is a mask of the features
-    that are compared. ``covariance`` (n_used, n_used) is that of their measurement. ``origin`` is a
-    sentence on the source of the uncertainties.
+    ``features`` (n_configurations, 5, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and C80 and G in dB,
+    NaN where nothing was measured. ``used``, of the same shape, is True for the n_used values that are
+    compared. ``covariance`` (n_used, n_used) is that of the measurement, and ``origin`` a sentence on
+    where its uncertainties come from.
     """
 
     features: Array
@@ -478,10 +487,10 @@ class ObservedFeatures:
 
 
 def steps(case: Case, used: Array) -> dict[int, str]:
-    """Return the names of two steps of the data: T of the first configuration, and all data.
+    """Return the two steps in which the data are tested: T of the first configuration, then all data.
 
-    The keys are the numbers of features in each step. ``used`` (n_configurations, n_features, n_bands)
-    is a mask of the features that are compared.
+    The result maps the number of values in each step to the step's name in print. ``used``
+    (n_configurations, 5, n_bands) is True for the values that are compared.
     """
     first = int(np.argmax(used.any((1, 2))))
     configuration = case.configurations[first]
@@ -491,9 +500,10 @@ def steps(case: Case, used: Array) -> dict[int, str]:
 
 
 def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
-    """Return the measured features, and which bands were dropped.
+    """Return the measured values of a case that are compared with its model, and notes.
 
-    Raises DataError if no band is left.
+    The notes name the bands that are left out, because T is missing or too uncertain. Raises DataError
+    if no band is left.
     """
     notes: list[Reason] = []
     origins: dict[str, list[str]] = {"stated": [], "made": []}
@@ -580,10 +590,10 @@ def features_of_values(m: Measurement) -> Array:
 def values_of_features(
     features: Array, frequencies: Array, parameters: Collection[str]
 ) -> Measurement:
-    """Return a model's features (n_features, n_bands) as a measurement with the given ``parameters``.
+    """Return a model's predictions (5, n_bands) as a measurement with the named ``parameters``.
 
-    Features are ln T20, ln EDT/T20, ln T30/T20, C80 and G. If T20 is not among the parameters, the
-    first is taken as ln T30. ``frequencies`` (n_bands,) are in Hz.
+    The predictions are ln T20, ln EDT/T20, ln T30/T20, C80 and G. If "t20" is not among the parameters,
+    the first row is that of ln T30. ``frequencies`` (n_bands,) are in Hz.
     """
     log_time, edt, t30, c80, g = features
     with np.errstate(over="ignore"):
@@ -599,7 +609,10 @@ def values_of_features(
 
 
 def covariance_of_run(run: Measurement) -> Array:
-    """Return the covariance of a run's features as its table states it, (n_bands, 5, 5); 0 without."""
+    """Return the covariance of a simulation program's result, (n_bands, 5, 5), from its uncertainty.
+
+    The five are ln T20, ln EDT/T20, ln T30/T20, C80 and G. A result without uncertainty has 0.
+    """
     block = np.zeros((len(run.centre_frequencies), 5, 5))
     for row, p in enumerate((_amount(run), "edt", "t30", *LEVELS)):
         if p in run.uncertainty:
@@ -654,7 +667,10 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
 
 
 def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) -> list[RoomState]:
-    """Return the states of a configuration, one for each alpha (n_materials, n_bands)."""
+    """Return the states of a case's room in one configuration, one for each array in ``alphas``.
+
+    Each array has the coefficients of the materials, (n_materials, n_bands).
+    """
     room = case.room
     changed = {room.material_index(m): c.alpha for m, c in configuration.changes.items()}
     unchanged = RoomState.of_room(room, case.facing, case.equation)
@@ -690,7 +706,10 @@ def with_applied(
 
 
 def distances(case: Case, configuration: Configuration) -> Array:
-    """Return the source-receiver distances in m, (n_pairs,); a usual distance if none are known."""
+    """Return the source-receiver distances in m, (n_pairs,).
+
+    If none are given, it is one distance: 0.66 times the cube root of the volume.
+    """
     if configuration.distances is not None:
         return configuration.distances
     return np.array([USUAL_DISTANCE * case.room.volume ** (1 / 3)])
@@ -718,17 +737,17 @@ class ModelDiscrepancy:
 
 
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
-    """Return the bias and the covariance of the model's error, estimated from reference rooms.
+    """Return mean and covariance of the error of a case's equation, estimated from reference rooms.
 
-    The bias is the mean over the simulators' mean errors and a further value of 0 (`bias_estimates`).
-    The covariance is the scatter between the rooms of each simulator plus the scatter between these
-    means. Because the rooms are few, the covariance is averaged with its own diagonal.
+    The mean is that of `bias_estimates`. The covariance is the scatter between the rooms of each
+    simulator plus the scatter between the simulators. Because the rooms are few, the covariance is
+    averaged with its own diagonal (weight 0.4).
 
-    Where a geometrical program's values are compared with the measurement, the sign of an error is not
-    known. The bias is then 0, and each simulator's mean error enters the covariance.
+    If the measurement is compared with a geometrical program's result, the sign of an error is not
+    known: the mean is then 0, and each simulator's mean error is added to the covariance.
     """
     n, k = len(case.configurations), case.room.n_bands
-    size, either = n * len(FEATURES) * k, of_either(case)
+    size, either = n * len(FEATURES) * k, _of_either(case)
     estimates = np.where(either, 0.0, bias_estimates(controls))
     bias = estimates.mean(axis=0)
     degrees = max(len(estimates) - 1, 1)
@@ -750,11 +769,11 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
     return ModelDiscrepancy(bias.ravel(), shrunk, tuple(c.engine for c in controls))
 
 
-def of_either(case: Case) -> NDArray[np.bool_]:
-    """Return which configurations have a geometrical program's values, (n_configurations, 1, 1).
+def _of_either(case: Case) -> NDArray[np.bool_]:
+    """Return which configurations have the result of a geometrical program, (n_configurations, 1, 1).
 
-    In these, the field of the program or that of the room may be the less diffuse one, because the
-    scattering coefficients in the program are a guess.
+    In these, either the program or the room may have the more diffuse field, because the scattering
+    coefficients in the program are a guess.
     """
     by_run = [bool(case.program) and c.simulated is not None for c in case.configurations]
     return np.array(by_run)[:, None, None]
@@ -762,10 +781,11 @@ def of_either(case: Case) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Hold the mean (n, m) and covariance (n, m, m) of m compared features under n hypotheses.
+    """Hold the mean (n, m) and covariance (n, m, m) of m compared values under n hypotheses.
 
-    Features are ln T20, C80 and others. A hypothesis is an effect with given parameters. ``common`` (n,
-    r, m) are the changes of the features by r errors that coefficients have in common.
+    The values are ln T20, C80 and others, by configuration and band. A hypothesis is an effect with one
+    set of parameter values. ``common`` (n, r, m) are the changes of the values by one standard
+    deviation of r errors that all coefficients have in common.
     """
 
     mean: Array
@@ -775,12 +795,13 @@ class Moments:
 
 @dataclass(frozen=True, eq=False)
 class MeansProblem:
-    """Hold what a search by means compares: the measurement, all predictions and their errors.
+    """Hold all that a search by means compares: the measured values, the predictions and their errors.
 
-    ``observed`` and ``predicted`` are measured and predicted features (ln T20, C80 and others), and
-    ``discrepancy`` is the error of the model. A hypothesis is an effect with one set of parameters.
-    ``cells`` (n_hypotheses, n_used, n_parameters) is the standard deviation of each compared feature
-    over the range of parameters for which a hypothesis stands; empty for single effects.
+    ``observed`` has the n_used measured values, ``predicted`` the predictions under each hypothesis (an
+    effect with one set of parameter values), and ``discrepancy`` the error of the equation. ``cells``
+    (n_hypotheses, n_used, n_parameters) is used for combinations of effects: the standard deviation of
+    each value over the parameter values between one hypothesis and the next. It is empty for single
+    effects.
     """
 
     case: Case
@@ -817,15 +838,18 @@ class MeansProblem:
         return np.asarray(self.discrepancy.bias[self.mask])
 
     def residual(self, i: int, values: Array | None = None) -> Array:
-        """Return the measured features, or ``values``, minus those of hypothesis number ``i``."""
+        """Return the measured values minus those predicted under hypothesis number ``i``, (n_used,).
+
+        ``values`` (..., n_used) replace the measured values; None keeps them.
+        """
         y = self.observed.values if values is None else values
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
-    def by_log_time(self, predicted: PredictedFeatures, rows: Indices, changes: Array) -> Array:
-        """Return the changes of compared features by given changes of ln T20, (n, n_used, n_columns).
+    def by_log_time(self, predicted: _PredictedFeatures, rows: Indices, changes: Array) -> Array:
+        """Return the changes of the compared values by changes of ln T20, (n, n_used, n_columns).
 
-        ``changes`` (n, size, n_columns) of ln T20 are those in each configuration and band. ``rows``
-        are the numbers of the n hypotheses in ``predicted``.
+        ``changes`` (n, size, n_columns) are those of ln T20 in each configuration and band, in any
+        number of columns. ``rows`` are the numbers of the n hypotheses in ``predicted``.
         """
         c, f, b = self.places
         slopes = predicted.slopes[rows][:, c, f, b]
@@ -835,13 +859,14 @@ class MeansProblem:
         self,
         rows: Indices,
         members: Sequence[Indices] | None = None,
-        predicted: PredictedFeatures | None = None,
+        predicted: _PredictedFeatures | None = None,
     ) -> Moments:
-        """Return mean and covariance of the compared features under n hypotheses.
+        """Return mean and covariance of the compared values under n hypotheses.
 
-        ``rows`` are the numbers of the hypotheses, each an effect with given parameters. For sets of
-        effects, ``predicted`` has the features with all effects of each set, and ``members`` the
-        numbers of the single effects, one array (n,) for each place in the set.
+        ``rows`` are the numbers of the hypotheses, each an effect with one set of parameter values. For
+        combinations of effects, ``predicted`` has the predictions with all effects of each combination,
+        ``rows`` are its numbers, and ``members`` has the numbers of the single hypotheses: one array
+        (n,) for the first effect of each combination, one for the second, and so on.
         """
         made, alone = predicted or self.predicted, [rows] if members is None else members
         c, f, b = self.places
@@ -859,13 +884,13 @@ class MeansProblem:
         return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
 
     def of_alpha(
-        self, rows: Indices, predicted: PredictedFeatures | None = None
+        self, rows: Indices, predicted: _PredictedFeatures | None = None
     ) -> tuple[Array, Array]:
-        """Return the covariance of compared features by coefficients and climate, and common errors.
+        """Return the covariance of the compared values from errors of alpha and climate.
 
-        The shapes are (n, n_used, n_used) and (n, n_used, n_directions). ``rows`` are the numbers of n
-        hypotheses in ``predicted``, which is by default the problem's own. A common error is one that
-        coefficients have in common, one standard deviation.
+        The first result is the covariance, (n, n_used, n_used). The second, (n, n_used, n_directions),
+        has the changes by one standard deviation of each error that all coefficients have in common.
+        ``rows`` are the numbers of n hypotheses in ``predicted``, by default the problem's own.
         """
         made = predicted or self.predicted
         of_time, together = made.log_time_errors(rows)
@@ -873,22 +898,25 @@ class MeansProblem:
         return self.by_log_time(made, rows, half), self.by_log_time(made, rows, together)
 
     def error_of_change(self, rows: Indices) -> Array:
-        """Return the covariance of the error of some hypotheses' changes, (n, n_used, n_used)."""
+        """Return the covariance of the error of the effects' equations, (n, n_used, n_used).
+
+        ``rows`` are the numbers of n hypotheses. The error is proportional to the change by the effect.
+        """
         _, f, b = self.places
         errors = self.predicted.spectrum_errors[rows]
         errors = errors[:, :, errors.any((0, 1))].take(b, 1)
         alone = self.predicted.formula_errors[rows]
-        out = misfit(self.changes[rows], self.amounts[rows], f, errors, alone)
+        out = _misfit(self.changes[rows], self.amounts[rows], f, errors, alone)
         if self.cells.size:
             cells = self.cells[rows]
             out += cells @ cells.swapaxes(1, 2)
         return out
 
     def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
-        """Return the covariance of the compared features by the coefficients, and by all other errors.
+        """Return two covariances of the compared values: from coefficients, and from other errors.
 
-        Both are (n_used, n_used), under hypothesis number ``i``. ``scale`` multiplies the errors that
-        the coefficients have in common.
+        Both are (n_used, n_used), under hypothesis number ``i``. ``scale`` is a factor on the errors
+        that all coefficients have in common.
         """
         row = slice(i, i + 1)
         (alpha,), (common,) = self.of_alpha(row)
@@ -897,11 +925,11 @@ class MeansProblem:
         return alpha, self.without_alpha + self.error_of_change(row)[0]
 
     def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
-        """Return the distance of the measurement from hypothesis number ``i``, and its p-value.
+        """Return how well hypothesis number ``i`` explains the measurement: distance and p-value.
 
-        The distance is sqrt(r' C⁻¹ r / n) of the n residuals r, which is 1 on average. The p-value is
-        the probability of a larger chi-square (Gelman, Meng & Stern 1996). ``scale`` multiplies the
-        errors that the coefficients have in common.
+        The distance is sqrt(r' C⁻¹ r / n) for the n residuals r with the covariance C; it is about 1 if
+        the hypothesis is true. The p-value is the probability of a larger chi-square r' C⁻¹ r (Gelman,
+        Meng & Stern 1996). ``scale`` is a factor on the errors that all coefficients have in common.
         """
         alpha, other = self.covariance_of(i, scale)
         residual = self.residual(i)
@@ -967,7 +995,10 @@ def _log_likelihoods(
 
 
 def log_density(residual: Array, covariance: Array) -> Array:
-    """Return the log densities (n,) of a residual (m,) under each of the covariances (n, m, m)."""
+    """Return the log density of a residual (m,) under each of n covariances (n, m, m), as (n,).
+
+    The density is Student's t (`rtcal.finder.evidence.student`).
+    """
     n = len(covariance)
     of = Moments(np.zeros((n, len(residual))), covariance.copy(), np.zeros((n, 0, len(residual))))
     (log,), _ = _log_likelihoods([of], residual[None], [len(residual)], off=False)
@@ -987,11 +1018,12 @@ NEGLIGIBLE = 8.0
 
 @dataclass(frozen=True, eq=False)
 class MeansEvidence:
-    """Hold the log likelihood of the data under every hypothesis, an effect with given parameters.
+    """Hold the log likelihood of the measurement under every hypothesis, and under an unknown effect.
 
-    ``stated`` is the log likelihood with the input coefficients, and ``off`` that with an error that
-    all coefficients have in common, whose prior probability is ``prior_off``. Both are (n_hypotheses,),
-    or (n_hypotheses, n_draws) for random data. ``unknown`` is the log evidence of an unknown effect.
+    A hypothesis is an effect with one set of parameter values. ``stated`` is the log likelihood with
+    the input coefficients, and ``off`` that with an error that all coefficients have in common, whose
+    prior probability is ``prior_off``. Both are (n_hypotheses,), or (n_hypotheses, n_draws) for random
+    data. ``unknown`` is the log likelihood under an effect that is not in the library.
     """
 
     problem: MeansProblem
@@ -1001,7 +1033,7 @@ class MeansEvidence:
     prior_off: float
 
     def by_effect(self) -> dict[str, Array]:
-        """Return the log evidence of each effect, "none", "coefficients" and "unknown"."""
+        """Return the log marginal likelihood of each effect, "none", "coefficients" and "unknown"."""
         rows = self.problem.predicted.rows  # one after the other
         log = self._weighted(self.by_hypothesis())
         sums = np.logaddexp.reduceat(log, [of_one[0] for of_one in rows.values()], axis=0)
@@ -1009,11 +1041,17 @@ class MeansEvidence:
         return out | {NONE: self.stated[0], COEFFICIENTS: self.off[0], UNKNOWN: self.unknown}
 
     def by_hypothesis(self) -> Array:
-        """Return the log likelihood of each hypothesis, with and without a common error averaged."""
+        """Return the log likelihood of each hypothesis, (n_hypotheses,).
+
+        It is averaged over the cases with and without an error that all coefficients have in common.
+        """
         return log_mixture(self.stated, self.off, self.prior_off)
 
     def off_given(self, name: str) -> Array:
-        """Return the probability of a common error of the coefficients, given an effect or "none"."""
+        """Return the probability that all coefficients have an error in common, given an effect.
+
+        ``name`` is the effect, or "none".
+        """
         rows = self.problem.predicted.rows[name]
         with np.errstate(divide="ignore"):
             off = self._weighted(self.off)[rows] + np.log(self.prior_off)
@@ -1031,7 +1069,10 @@ class MeansEvidence:
         return float(table[name] - table[NONE])
 
     def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
-        """Return the evidence of one effect, with ``others`` added to the model."""
+        """Return the log likelihoods of one effect with other effects added to the model.
+
+        ``name`` is the effect, and ``others`` are the effects that are added.
+        """
         case = self.problem.case
         case = replace(case, applied=(*case.applied, *others))
         predicted = predict_hypotheses(case, [self.problem.predicted.effects[name]])
@@ -1045,11 +1086,11 @@ def evaluate(
     values: Array | None = None,
     ends: Sequence[int] = (),
 ) -> list[MeansEvidence]:
-    """Return the log evidence of every hypothesis and of an unknown effect.
+    """Return the log likelihoods of all hypotheses and of an unknown effect.
 
-    The list has one entry for each number of leading features in ``ends``, and a last one for all
-    features. ``values`` (n_draws, n_used) replace the measured features; None keeps them. ``prior_off``
-    is the prior probability of an error that all coefficients have in common.
+    ``prior_off`` is the prior probability that all coefficients have an error in common. ``values``
+    (n_draws, n_used) replace the measured values; None keeps them. ``ends`` are numbers of values: for
+    each, the list has the result from only that many first values; the last entry is from all.
     """
     ends = [*ends, len(problem.observed.values)]
     y = np.atleast_2d(problem.observed.values if values is None else values)
@@ -1078,12 +1119,11 @@ _IMPOSSIBLE = -1e4
 def evaluate_beyond(
     problem: MeansProblem, prior_off: float, ends: Sequence[int] = ()
 ) -> list[MeansEvidence]:
-    """Return the log evidence of every hypothesis, after trying more sizes of effects where needed.
+    """Return the log likelihoods of all hypotheses, after trying larger or smaller sizes where needed.
 
-    If the largest or smallest size of an effect fits best, further sizes are tried, in the same steps,
-    up to the physical limits (`Effect.limits`) or until the evidence no longer increases. ``prior_off``
-    is the prior probability of an error that all coefficients have in common. The list has one entry
-    for each number of leading features in ``ends``, and a last one for all features.
+    If the last size that was tried of an effect fits best, further sizes are tried in the same steps,
+    up to the effect's limits or until the likelihood no longer rises. Parameters and result are those
+    of `evaluate`.
     """
     case = problem.case
     evidence, reached = evaluate(problem, prior_off, ends=ends), dict[str, float]()
@@ -1158,9 +1198,13 @@ def null_scores(
     prior: Prior,
     draws: int = 400,
 ) -> Array:
-    """Return the `score` of rooms that lack nothing, (n_draws, n_steps), by `steps` of the data."""
+    """Return the `score` of random rooms from whose model nothing is missing, (n_draws, n_steps).
+
+    Each room has random coefficients, an error of the equation from a reference room, and noise of the
+    measurement. The `steps` are T of the first configuration, and all data.
+    """
     rng = np.random.default_rng([0, 3])
-    ends, scores, either = list(steps(case, observed.used))[:-1], [], of_either(case)
+    ends, scores, either = list(steps(case, observed.used))[:-1], [], _of_either(case)
     signs = (1, -1) if either.any() else (1,)  # without a run the rooms drawn stay the same
     for fold in (0, 1):
         training = [_part(c, fold) for c in controls]
@@ -1177,10 +1221,11 @@ def null_scores(
 
 
 def thresholds(scores: Array) -> Array:
-    """Return the threshold of each step of the data, (n_steps,), from rooms with nothing missing.
+    """Return the score that counts as detection, for each step of the data, (n_steps,).
 
-    ``scores`` (n_rooms, n_steps) are the scores of these rooms. The thresholds are quantiles at one
-    level, so that the share `QUANTILE` of the rooms exceeds none of them; none is below `MINIMUM`.
+    ``scores`` (n_rooms, n_steps) are those of rooms with nothing missing. The thresholds are quantiles
+    of these scores at one level, chosen so that 5 % of the rooms exceed one or more of them; none is
+    below 0.
     """
     raised = np.maximum(scores, MINIMUM)
     below = [np.searchsorted(np.sort(column), column) for column in raised.T]
@@ -1200,9 +1245,9 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
 def score(evidence: MeansEvidence, prior: Prior) -> Array:
     """Return the ln Bayes factor that something is missing from the model, against nothing missing.
 
-    It is the mean evidence of all effects, weighted by their probabilities in ``prior``. If the model
-    is a geometrical program's result, its own sound field counts as nothing missing
-    (`rtcal.finder.claim.of_program`).
+    It compares the mean likelihood of all effects, weighted by their probabilities in ``prior``, with
+    that of no effect. If the model is a geometrical program's result, an uneven sound field counts as
+    nothing missing, because the program simulates it.
     """
     table: Mapping[str, Array] = evidence.by_effect()
     program, effects = evidence.problem.case.program, evidence.problem.predicted.effects
@@ -1225,12 +1270,12 @@ def draw_null_features(
     rng: np.random.Generator,
     n: int,
 ) -> Array:
-    """Return random features (n, n_used) of rooms from whose model nothing is missing.
+    """Return random measured values (n, n_used) of rooms from whose model nothing is missing.
 
-    ``observed`` has the features (ln T20, C80 and others) that are compared, and their covariance.
-    ``errors`` has the equation's errors in each simulator's reference rooms, one of which is added to
-    each room. ``applied`` is the covariance by the effects that are in the model, and by unknown
-    distances. ``rng`` is the generator of random numbers.
+    ``observed`` has the values that are compared, and their covariance. ``errors`` has the equation's
+    errors in each simulator's reference rooms, one of which is added to each room. ``applied`` is the
+    covariance from effects that are in the model already, and from unknown distances. ``rng`` is the
+    generator of random numbers.
     """
     in_common = drawn(directions(case, NULL_POWER), case.room.materials, rng, n)
     alphas = draw_alpha(case, rng, n) + in_common
@@ -1250,7 +1295,12 @@ def draw_null_features(
 
 
 def compare(problem: MeansProblem) -> MeansProblem:
-    """Return a problem of sets: with errors of the direct sound (`DIRECT_SOUND`) and the grids."""
+    """Return a problem in which combinations of effects are compared, with two further errors.
+
+    The errors are that of the direct sound's level (`DIRECT_SOUND`), and the change of each value
+    between neighbouring parameter values that are tried (`MeansProblem.cells`). Without them, they
+    would look like a second effect.
+    """
     case, predicted = problem.case, problem.predicted
     columns = np.zeros((*predicted.features.shape[1:], case.room.n_bands))
     over_bands = np.linalg.cholesky(correlation(case.room.centre_frequencies, COMMON_CORRELATION))
@@ -1301,11 +1351,11 @@ def applied_effects(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedE
 
 
 def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], frozenset[str]]:
-    """Return the effects' names in the order in which they are added, and those that replace the decay.
+    """Return the names of effects in the order in which a combination of them is added to a room.
 
     Another reverberation equation comes first, because absorbers are added in its terms; then effects
-    that replace input values of the room; then all others. A set of effects may have only one that
-    replaces the shape of the decay.
+    that replace input values of the room; then all others. The second result has the names of the
+    effects that replace the shape of the decay; a combination may have only one of these.
     """
     base = state(case, case.configurations[0])
     changed = {
@@ -1322,9 +1372,9 @@ def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], fro
 
 
 class Screen:
-    """Compute log likelihoods of pairs of effects from the changes that each effect causes alone.
+    """Compute approximate log likelihoods of pairs of effects, from the changes by each effect alone.
 
-    ``base`` are the numbers of hypotheses, effects with given parameters, that are in every pair.
+    ``base`` are the numbers of hypotheses that are in every pair, so that the pairs become triples.
     """
 
     def __init__(self, compared: MeansProblem, base: Members = ()) -> None:
@@ -1351,7 +1401,11 @@ class Screen:
         self._own = self._w @ self._w.swapaxes(1, 2)
 
     def pairs(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> Array:
-        """Return the log likelihoods of every row of ``first`` with every one of ``second``."""
+        """Return the log likelihoods of pairs of hypotheses, (n_first, n_second).
+
+        ``first`` and ``second`` are the numbers of the hypotheses, each an effect with one set of
+        parameter values.
+        """
         a, b, r = len(first), len(second), self._w.shape[1]
         left = self._z - self._v[first]
         v, w1, w2 = self._v[second], self._w[first], self._w[second]
@@ -1376,10 +1430,11 @@ class Screen:
 
 
 def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool) -> Array:
-    """Return the log likelihoods of sets of effects, (n_sets, 2).
+    """Return the log likelihoods of combinations of effects, (n_sets, 2).
 
-    A set has the numbers of its hypotheses, each an effect with given parameters. The second column is
-    with an error that all coefficients have in common; -inf if ``off`` is False.
+    Each item of ``sets`` has the numbers of hypotheses (effects with parameter values) that are in the
+    model together. The second column is with an error that all coefficients have in common; -inf if
+    ``off`` is False.
     """
     begins, possible = range(0, len(sets), _SETS_AT_ONCE), list[NDArray[np.bool_]]()
 
@@ -1396,10 +1451,11 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool)
 
 
 def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, NDArray[np.bool_]]:
-    """Return mean and covariance of the features with all effects of each set, and which are possible.
+    """Return mean and covariance of the compared values with combinations of effects in the model.
 
-    A set has the numbers of its hypotheses, each an effect with given parameters. The second result is
-    (n_sets,) of bool. A set is impossible if its features are not finite.
+    Each item of ``sets`` has the numbers of hypotheses (effects with parameter values) that are in the
+    model together. The second result, (n_sets,) of bool, is False for a combination that gives no
+    finite values.
     """
     most = max(map(len, sets))
     members = [np.array([rows[k] if k < len(rows) else 0 for rows in sets]) for k in range(most)]
@@ -1407,7 +1463,7 @@ def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, N
         # These are predicted already.
         of = compared.moments(members[0] if most else np.zeros(len(sets), dtype=int), members)
     else:
-        made = predict_states(compared.case, _states_of(compared, sets))
+        made = _predict_states(compared.case, _states_of(compared, sets))
         of = compared.moments(np.arange(len(sets)), members, made)
     possible = np.asarray(np.isfinite(of.mean).all(1) & np.isfinite(of.covariance).all((1, 2)))
     of.mean[~possible], of.covariance[~possible] = 0.0, np.eye(of.mean.shape[1])
@@ -1416,7 +1472,7 @@ def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, N
 
 
 def _states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[RoomState]]:
-    """Return the room's states with the effects of each set, for every configuration."""
+    """Return the room's states with the effects of each combination, for every configuration."""
     predicted, out = compared.predicted, []
     for where in compared.case.configurations:
         made: dict[Members, RoomState] = {(): state(compared.case, where)}
@@ -1436,7 +1492,7 @@ def _states_of(compared: MeansProblem, sets: Sequence[Members]) -> list[list[Roo
 
 
 def _unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
-    """Return the log evidence, (n_rows,), of single effects in combination with an unknown effect."""
+    """Return the log likelihood, (n_rows,), of single effects together with an unknown effect."""
     of, _ = moments(compared, [(i,) for i in rows.tolist()])
     residual, ends = compared.observed.values - of.mean, [of.mean.shape[1]]
     used = compared.observed.used
@@ -1449,17 +1505,18 @@ def _unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
 
 
 def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float]]) -> Array:
-    """Return the mean of alpha after the measurement over probable sets, (n_materials, n_bands).
+    """Return the mean of alpha, (n_materials, n_bands), over the probable combinations of effects.
 
-    ``likely`` are sets of effects and their probabilities, the weights of the mean (Hoeting et al.
-    1999). Under each set, features y and coefficients are jointly normal: E[alpha | y] = mu + Sigma G'
-    C⁻¹ (y - mean), with alpha's prior mean mu and covariance Sigma, G = d features / d alpha, and the
-    covariance C of y. T changes alpha only as far as no effect and no error of the model explains T.
+    ``likely`` are combinations of effects with their probabilities after the measurement, the weights
+    of the mean (Hoeting et al. 1999). Under each, the compared values y and alpha are jointly normal:
+    E[alpha | y] = mu + Sigma G' C⁻¹ (y - mean), with the prior mean mu and covariance Sigma of alpha, G
+    = d y / d alpha, and the covariance C of y. T changes alpha only as far as no effect and no error of
+    the equation explains T.
     """
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)
     room, (c, f, b) = compared.case.room, compared.places
-    made = predict_states(compared.case, _states_of(compared, sets))
+    made = _predict_states(compared.case, _states_of(compared, sets))
     _, changed, rho, *_ = _uncertain(compared.case)
     # What stands where a configuration changed a material is another one.
     per_alpha = -np.where(changed, 0.0, made.jacobian)
@@ -1493,12 +1550,13 @@ DISTINCT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SetPosterior:
-    """Hold the probabilities of sets of effects after the measurement.
+    """Hold the probabilities of combinations of effects after the measurement.
 
-    ``sets`` maps each set, a tuple of names, to its probability, the most probable first; () means that
-    nothing is missing. ``off`` has the probability, given the set, of an error that all coefficients
-    have in common. ``rows`` has the numbers of the set's most probable hypotheses, each an effect with
-    given parameters. ``likely`` are the most probable sets of hypotheses with their probabilities.
+    ``sets`` maps each combination, a tuple of names, to its probability, the most probable first; ()
+    means that nothing is missing. ``off`` has for each combination the probability that all
+    coefficients have an error in common. ``rows`` has for each the numbers of its most probable
+    hypotheses (effects with parameter values). ``likely`` are the most probable combinations of
+    hypotheses with their probabilities.
     """
 
     sets: Mapping[Names, float]
@@ -1507,7 +1565,11 @@ class SetPosterior:
     likely: Sequence[tuple[Members, float]]
 
     def best(self, effects: Mapping[str, Effect], families: Names = ()) -> Names:
-        """Return the most probable set that has known effects only; if given, of these ``families``."""
+        """Return the most probable combination that has no unknown effect.
+
+        If ``families`` are given, it is the most probable one of these groups of effects. ``effects``
+        are the effects by name.
+        """
         return next(
             s
             for s in self.sets
@@ -1535,9 +1597,9 @@ class SetPosterior:
         return most_probable_first(out | summed(parts))
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
-        """Return the effects that explain the data about as well as each effect of the set ``best``.
+        """Return, for each effect of the combination ``best``, the effects that could take its place.
 
-        With such an effect in its place, the set has at least `DISTINCT` times its probability.
+        With such an effect in its place, the combination is at least a tenth as probable.
         """
         out = {}
         for name in best:
@@ -1552,10 +1614,10 @@ class SetPosterior:
 
 
 def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]) -> SetPosterior:
-    """Return the probabilities of sets with at most one effect, from those of single effects.
+    """Return the probabilities of combinations of at most one effect, from those of single effects.
 
     ``probabilities`` are those of effects, "none", "coefficients" and "unknown", by name. "none" and
-    "coefficients" together are the empty set.
+    "coefficients" together are the empty combination. ``evidence`` has the likelihoods.
     """
     nothing = probabilities[NONE] + probabilities[COEFFICIENTS]
     sets: dict[Names, float] = {(): nothing}
@@ -1587,10 +1649,12 @@ def posterior_of_sets(
     expected: float = EXPECTED,
     most: int = MOST,
 ) -> SetPosterior:
-    """Return the probabilities of all sets of up to ``most`` effects, after the measurement.
+    """Return the probabilities of all combinations of up to ``most`` effects, after the measurement.
 
-    ``expected`` is the number of missing effects that is expected before the measurement. Sets of three
-    are tried only if the best set of two does not explain the measurement (`UNEXPLAINED`).
+    ``compared`` is the problem that `compare` returns, and ``prior`` has the probabilities of single
+    effects. ``expected`` is the mean of the Poisson distribution of the number of missing effects
+    before the measurement. Combinations of three are tried only if the best two effects leave residuals
+    with a p-value below 0.05.
     """
     tables = _Tables(compared, prior)
     if most > 1:

@@ -286,7 +286,7 @@ def _of_single(
     fits, reasons = dict[str, Candidate](), tuple[Reason, ...]()
     if best != UNKNOWN and detected != NONE:
         fits[best] = fit(evidence, best, precise=True)
-        reasons = doubts(evidence, fits[best])
+        reasons = _doubts(evidence, fits[best])
     claim = conclude(detected, probabilities, families, rough, reasons, weak)
     if claim.verdict == NONE:
         return replace(found, **vars(claim))
@@ -322,7 +322,7 @@ def _of_sets(found: Finding, evidence: MeansEvidence, posterior: SetPosterior) -
     for name in (*best, best[0]) if len(best) > 1 else best:
         beside = evidence.beside(name, [model[n] for n in best if n != name])
         fits[name] = fit(beside, name, precise=True)
-        reasons[name] = doubts(beside, fits[name])
+        reasons[name] = _doubts(beside, fits[name])
         model[name] = fits[name].applied(effects[name])
     every = [doubt for n in best for doubt in reasons[n]]
     sound = [n for n in best if all(LEAVES[doubt.code] != "hint" for doubt in reasons[n])]
@@ -532,7 +532,7 @@ def _searched(
     return theta_of(at)
 
 
-def doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
+def _doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
     """Return the reasons not to identify the most probable effect, empty if there are none.
 
     For example, its size has no limit, or the deviation of C80 grows. `rtcal.finder.claim.LEAVES` has
@@ -591,7 +591,7 @@ def gap_against(name: str, gap: GapCheck) -> Reason | None:
     return None
 
 
-def schroeder_limit(case: Case, times: Array) -> float:
+def _schroeder_limit(case: Case, times: Array) -> float:
     """Return Schroeder's frequency in Hz for a configuration's T."""
     middle = mid_frequency_time(times, case.room.centre_frequencies)
     return float(schroeder_frequency(np.array(middle), case.room.volume))
@@ -602,7 +602,7 @@ def _decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | Non
     problem, nats = evidence.problem, evidence.nats(name)
     case, observed = problem.case, problem.observed
     frequencies = case.room.centre_frequencies
-    limits = [schroeder_limit(case, c.measured.reverberation_time) for c in case.configurations]
+    limits = [_schroeder_limit(case, c.measured.reverberation_time) for c in case.configurations]
     low = frequencies < np.array(limits)[:, None]
     used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
     if not low.any() or (used == observed.used).all() or not used.any():
@@ -765,7 +765,7 @@ def _notes(case: Case) -> list[Reason]:
     out, frequencies = list[Reason](), case.room.centre_frequencies
     for c in case.configurations:
         where = {"configuration": c.name}
-        limit = schroeder_limit(case, c.measured.reverberation_time)
+        limit = _schroeder_limit(case, c.measured.reverberation_time)
         if (low := frequencies < limit).any():
             values = {**where, "bands": bands.labels(frequencies[low]), "limit": limit}
             out.append(Reason("Schroeder", values))
