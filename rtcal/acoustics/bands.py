@@ -109,7 +109,7 @@ def hertz(frequencies: Sequence[float] | Array) -> str:
 
 
 def label(frequency: float) -> str:
-    """Return the band's name in tables and messages.
+    """Return the name of a band in tables and messages, from its centre frequency in Hz.
 
     Examples
     --------
@@ -120,7 +120,7 @@ def label(frequency: float) -> str:
 
 
 def labels(frequencies: Iterable[float]) -> list[str]:
-    """Return the bands' names, as `label`.
+    """Return the names of bands in tables and messages, from their centre frequencies in Hz.
 
     Examples
     --------

@@ -728,7 +728,7 @@ class NewPiece(FileTable):
                 "leave it out here"
             )
         piece = Piece(self.name, 1.0, self.area_per_piece, self.sigma, self.source)
-        return replace(piece.with_sigma(rule, room.centre_frequencies).as_material(), area=None)
+        return replace(piece.with_sigma(rule).as_material(), area=None)
 
 
 class VariantsFile(FileTable):

@@ -349,7 +349,10 @@ class Eyring(LinearEquation):
             return np.asarray(-np.log1p(-np.minimum(mean, 1.0)))
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean coefficient 1 - exp(-exponent); NaN above 25, where it would round T."""
+        """Return the mean coefficient 1 - exp(-exponent), or NaN for an exponent above 25.
+
+        There the coefficient is so near to 1 that rounding errors of T are too large.
+        """
         with np.errstate(over="ignore"):
             mean = -np.expm1(-np.asarray(exponent, dtype=float))
         return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))

@@ -43,8 +43,9 @@ def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array
     """Return the deviation model - measured in just noticeable differences (JND), with its sign.
 
     ``model`` and ``measured`` are values of ``parameter``, such as "t20", of one shape; the deviation
-    is NaN where either is missing. One JND is 5 % of the measured value for decay times, 1 dB for C50,
-    C80 and levels, 0.05 for D50, 10 ms for Ts (ISO 3382-1:2009, Table A.1), and 0.03 for STI.
+    is NaN where either is missing. One JND is 5 % of the measured value for decay times, 1 dB for C80
+    and G, 0.05 for D50 and 10 ms for Ts (ISO 3382-1:2009, Table A.1). It is taken as 1 dB for C50 and
+    relative levels, and as 0.03 for STI (Bradley, Reich and Norcross 1999).
 
     Examples
     --------

@@ -400,7 +400,11 @@ class Measurement:
     def from_values(
         cls, centre_frequencies: Sequence[float] | Array, **parameters: Sequence[float] | Array
     ) -> Measurement:
-        """Return a measurement of one value per band: ``from_values([500, 1000], t20=[1.9, 2.0])``."""
+        """Return a measurement of one value per band: ``from_values([500, 1000], t20=[1.9, 2.0])``.
+
+        The values count as means over several source-receiver pairs. Parameters are given by their
+        keys, (n_bands,) each, NaN where missing. ``centre_frequencies`` (n_bands,) are in Hz.
+        """
         return cls(
             centre_frequencies=checks.array("centre_frequencies", centre_frequencies),
             values={
@@ -421,8 +425,9 @@ class Measurement:
         """Return the measurement with the room-acoustic parameters of energy decays.
 
         ``energy`` (n_pairs, n_bands, n_bins) is the energy in time bins of the width ``bin_width`` in
-        s, for bands in Hz and (source, receiver) pairs. ``uncertainty`` is the standard uncertainty of
-        each parameter by its name, (n_pairs, n_bands); None if it is not known.
+        s. ``centre_frequencies`` (n_bands,) are in Hz, and ``pairs`` are (source, receiver).
+        ``uncertainty`` is the standard uncertainty of each parameter by its key, (n_pairs, n_bands);
+        None if it is not known.
 
         Raises
         ------

@@ -111,7 +111,10 @@ class Observable(ABC):
 
     @abstractmethod
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the parameter's value for energy decays (..., n_bins), (...); NaN without one."""
+        """Return the parameter's value for each energy decay, (...); NaN if a decay gives none.
+
+        ``energy`` (..., n_bins) is the energy in time bins of the width ``bin_width`` in s.
+        """
 
     @abstractmethod
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
@@ -189,7 +192,10 @@ class Observable(ABC):
         return np.full(np.shape(values), np.nan)
 
     def between_teams(self, frequencies: Array) -> Array:
-        """Return the standard deviation of the observed quantity between teams, (n_bands,)."""
+        """Return the standard deviation of the observed quantity between measuring teams, (n_bands,).
+
+        ``frequencies`` (n_bands,) are in Hz; between octaves the values are interpolated.
+        """
         return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), self.teams))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
@@ -221,9 +227,9 @@ class Observable(ABC):
     def variance_of_mean(
         self, frequencies: Array, mean: Array, positions: Array, decays: int = _DECAYS
     ) -> Array:
-        """Return the theoretical variance of a mean over positions, as `DecaySlope.variance_of_mean`.
+        """Return the theoretical variance of a mean over positions, (n_bands,).
 
-        It is NaN for parameters other than T20 and T30, because ISO 3382-2 has no theory for them.
+        It is NaN for parameters other than T20 and T30; see `DecaySlope.variance_of_mean`.
         """
         return np.full(np.shape(mean), np.nan)
 
@@ -472,7 +478,10 @@ class DecaySlope(Relative):
         return np.where(holds, 60 * bin_width * spread / np.where(holds, fall, 1.0), np.nan)
 
     def too_short(self, energy: Array) -> NDArray[np.bool_]:
-        """Return whether the decays end before they have fallen through the range of levels."""
+        """Return whether energy decays (..., n_bins) are too short, (...) of bool.
+
+        A decay must fall to 15 dB below the range of levels: T20 needs 40 dB.
+        """
         return np.asarray(cut_off_db(energy) > self.lower - MARGIN_DB)
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
@@ -482,7 +491,7 @@ class DecaySlope(Relative):
         within the range, and B_k is the energy from bin k on. With c_k = k - mean(k) it follows that
         d ln T = -sum c_k dL_k / (slope sum c_k²). The ends of the range move, too: if the curve at an
         end is r dB off the line, points enter or leave there at the rate of dL / slope bins, and each
-        has the weight c r / (slope sum c_k²).
+        has the weight c r / (slope sum c_k²). The arguments are those of `Observable.gradient`.
         """
         within = (level <= self.upper) & (level >= self.lower)
         k = np.arange(level.shape[-1], dtype=float)
@@ -528,9 +537,9 @@ class DecaySlope(Relative):
 
         The variance is in s², NaN for EDT. B is the bandwidth in Hz. ``frequencies`` (n_bands,) are in
         Hz, ``mean`` (n_bands,) is T in s, ``positions`` (n_bands,) is N and ``decays`` is n. The
-        equation is that of ISO 3382-2:2008, Eqs. 4 and 5. The constants a and b (`averages`) are taken
-        from RWTH Aachen's ITA-Toolbox, ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names
-        EN ISO 3382 as its source.
+        constants a and b (`averages`) are those of RWTH Aachen's ITA-Toolbox (P. Dietrich, 2009),
+        ita_roomacoustics_uncertainty.m, which names EN ISO 3382 as its source. They were not compared
+        with the standard (ISO 3382-2:2008, Eqs. 4 and 5).
         """
         if self.averages is None:
             return super().variance_of_mean(frequencies, mean, positions, decays)
@@ -649,7 +658,7 @@ class Clarity(Observable):
 
         The derivative is 10 / ln 10 times (share / early - (1 - share) / late), where share is the part
         of the bin before the limit, such as 80 ms, and early and late are the energies before and after
-        it.
+        it. The arguments are those of `Observable.gradient`.
         """
         share = _share_before(energy.shape[-1], bin_width, self.limit)
         early, late = energy @ share, energy @ (1 - share)
@@ -731,7 +740,8 @@ class D50(Observable):
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return the derivative of D50 by the energy of each time bin, (..., n_bins).
 
-        It is (share - D50) / sum(E), where share is the part of the bin before 50 ms.
+        It is (share - D50) / sum(E), where share is the part of the bin before 50 ms. The arguments are
+        those of `Observable.gradient`.
         """
         share = _share_before(energy.shape[-1], bin_width, C50.limit)
         total = energy.sum(-1, keepdims=True)
@@ -744,7 +754,8 @@ class D50(Observable):
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return the standard deviation of D50 in one response of decaying noise, (..., n_bands).
 
-        It is that of C50 in dB, times D50 (1 - D50) ln(10) / 10.
+        It is that of C50 in dB, times D50 (1 - D50) ln(10) / 10. The arguments are those of
+        `Observable.scatter`.
         """
         with np.errstate(invalid="ignore"):
             late = np.exp(-6 * np.log(10) * C50.limit / times)
@@ -793,8 +804,9 @@ class STI(Observable):
         """Return the derivative of STI by the energy of each time bin, (..., n_bins).
 
         For the energy E_j of bin j it is the mean over the modulation frequencies of (dTI / dm) (Re(m*
-        w_j) / |m| - |m|), divided by sum(E), where m is the complex modulation transfer and w_j the
-        modulation at bin j.
+        w_j) / |m| - |m|), divided by sum(E). m is the complex modulation transfer, TI the transmission
+        index, and w_j = exp(-2 pi i F t_j) at the time t_j of bin j, with the modulation frequency F.
+        The arguments are those of `Observable.gradient`.
         """
         ratio = _transfer(energy, bin_width)
         waves = np.stack([_wave(f, energy.shape[-1], bin_width) for f in MODULATIONS])
@@ -902,7 +914,10 @@ class Level(Observable):
             return np.asarray(10 * np.log10(400 * np.pi * energy.sum(-1)))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative of the level by the energy of each bin, 10 / (ln 10 sum(E)), in dB."""
+        """Return the derivative of the level in dB by the energy of each time bin, (..., n_bins).
+
+        It is 10 / (ln 10 sum(E)). The arguments are those of `Observable.gradient`.
+        """
         return np.broadcast_to(DB / energy.sum(-1, keepdims=True), energy.shape)
 
     def rate(self, observed: Array) -> Array:
@@ -944,7 +959,11 @@ class Ts(Relative):
             return np.asarray(energy @ middle / energy.sum(axis=-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
-        """Return the derivative of ln Ts by the energy E_k of each bin k: k / sum(E k) - 1 / sum(E)."""
+        """Return the derivative of ln Ts by the energy of each time bin, (..., n_bins).
+
+        For bin k, whose energy is E_k, it is (k + 1/2) / sum(E_k (k + 1/2)) - 1 / sum(E_k). The
+        arguments are those of `Observable.gradient`.
+        """
         k = np.arange(energy.shape[-1]) + 0.5
         return np.asarray(k / (energy @ k)[..., np.newaxis] - 1 / energy.sum(-1, keepdims=True))
 

@@ -77,7 +77,7 @@ def sigma_iso_12999_2(alpha: Array, centre_frequencies: Sequence[float] | Array)
 
     References
     ----------
-    ISO 12999-2:2020, Eq. 1 and Table 1.
+    ISO 12999-2:2020, Eq. 1 and Table 1, as transcribed in the package phonometry (J. M. Requena Plens).
 
     Examples
     --------

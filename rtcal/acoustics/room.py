@@ -521,11 +521,12 @@ class Material:
         Name of the material.
     alpha : sequence (n_bands,)
         Random-incidence absorption coefficients, 0 to 1.
-    sigma : float, sequence (n_bands,), or a degree of `rtcal.acoustics.priors.TIERS`
-        Standard deviation of each coefficient; 0 for an exact coefficient. It may be left out only if
-        the room has a rule for it (table ``[prior]`` of its file).
+    sigma : float, sequence (n_bands,), or {"low", "moderate", "high"}
+        Standard deviation of each coefficient; 0 for an exact coefficient. The three words stand for
+        0.01, 0.05 and 0.1 (Bellows & Katz 2025). sigma may be left out only if the room has a rule for
+        it (table ``[prior]`` of its file).
     alpha_min : float or sequence (n_bands,)
-        Lower bound of the calibrated coefficient.
+        Lower bound of the calibrated coefficient, 0 by default.
     scattering : float or sequence (n_bands,), optional
         Random-incidence scattering coefficients, 0 to 1; only simulators use them.
     source : str
@@ -589,16 +590,19 @@ class Piece:
     number_sigma: Number = 0.0
 
     def as_material(self, scattering: float | None = None) -> Material:
-        """Return the pieces as a `Material`: their number as its area, the area of one as its alpha."""
+        """Return the pieces as a `Material`: their number as its area, the area of one as its alpha.
+
+        ``scattering`` is the material's scattering coefficient; None if the room has none.
+        """
         row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
         return replace(row, scattering=scattering, area=self.number)
 
-    def with_sigma(self, rule: SigmaRule | None, frequencies: Array) -> Piece:
+    def with_sigma(self, rule: SigmaRule | None) -> Piece:
         """Return the pieces with their own sigma or, if they have none, with the sigma of a rule.
 
         The rule gives in_situ_factor * max(relative * area_per_piece, minimum) in m². Its part of ISO
-        12999-2 is not used, because it is for coefficients. ``frequencies`` are not used. Raises
-        DataError without a sigma and a rule.
+        12999-2 is not used, because it is for coefficients. Raises DataError if the pieces have no
+        sigma and ``rule`` is None.
         """
         if self.sigma is not None:
             return self
@@ -684,7 +688,8 @@ def with_patches(
 def lying_on(surfaces: Sequence[Surface], material: str) -> dict[str | None, float]:
     """Return the area in m² of a material that lies on each other material, by the other's name.
 
-    A surface that is named "floor: audience" lies on the surface "floor", as `with_patches` names it.
+    ``surfaces`` are all surfaces of the room, and ``material`` is the name of the material. A surface
+    that is named "floor: audience" lies on the surface "floor", as `with_patches` names it.
     The part of the material's area that lies on no other surface has the key None.
 
     Examples
@@ -1156,7 +1161,7 @@ class Room:
         return self.with_rows([self.material(m) for m in self.materials if m not in self.pieces])
 
     def refuse_pieces(self, what: str) -> None:
-        """Raise DataError if the room has pieces, because ``what`` takes surfaces alone."""
+        """Raise DataError if the room has pieces: its message is that ``what`` takes only surfaces."""
         if self.pieces:
             raise DataError(
                 f'{what} takes only surfaces, but room "{self.name}" has the [[object]] '
@@ -1212,7 +1217,10 @@ class Room:
         return self.replace(centre_frequencies=conversion.new, **converted)
 
     def place(self, name: str, material: int, band: int) -> str:
-        """Return the name of a value in messages, such as ``alpha["carpet", 500 Hz]``."""
+        """Return the name of a value in messages, such as ``alpha["carpet", 500 Hz]``.
+
+        ``name`` is the name of the array, ``material`` and ``band`` are the value's indices in it.
+        """
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 
@@ -1310,11 +1318,26 @@ class Room:
     ) -> Room:
         """Return a room from its materials and single surfaces, whose areas are summed per material.
 
-        A material must have surfaces or an ``area``; a material with neither is left out of the room.
-        ``objects`` are pieces such as persons. ``prior`` is the rule for sigma of materials that state
-        none; with None each material must state sigma. ``stated`` are the other fields of `Room`.
-        Raises DataError for the reasons of `Room`, for a surface with an unknown material, for a
-        material with both surfaces and an area, and for a field that is missing or unknown.
+        Parameters
+        ----------
+        materials : sequence of Material
+            Materials, each with surfaces or with an ``area``. A material with neither is left out.
+        centre_frequencies : sequence (n_bands,)
+            Centre frequencies in Hz, increasing.
+        surfaces : sequence of Surface
+            Single surfaces, such as those of a mesh.
+        objects : sequence of Piece
+            Objects that are no surfaces, such as persons.
+        prior : SigmaRule, optional
+            Rule for sigma of the materials that state none; without it each must state sigma.
+        **stated
+            Other fields of `Room`, such as ``name``, ``volume`` and ``air``.
+
+        Raises
+        ------
+        DataError
+            For the reasons of `Room`, for a surface with an unknown material, for a material with both
+            surfaces and an area, and for a field that is missing or unknown.
         """
         frequencies = bands.as_bands(centre_frequencies)
         drawn = [*checks.listed("surfaces", surfaces)]
@@ -1355,7 +1378,7 @@ class Room:
             checks.positive(f'object["{piece.name}"].number', piece.number)
         refuse_repeats("material and object", [*listed, *pieces])
         scattering = None if lacking else 0.0
-        pieces = tuple(piece.with_sigma(prior, frequencies) for piece in pieces)
+        pieces = tuple(piece.with_sigma(prior) for piece in pieces)
         rows = [*used, *(piece.as_material(scattering) for piece in pieces)]
         made = of_materials(rows, frequencies, prior)
         numbers = [piece.number for piece in pieces]
@@ -1619,8 +1642,8 @@ def of_pairs(
 ) -> str:
     """Return the `fingerprint` of a parameter's values at source-receiver pairs.
 
-    ``parameter`` is its key, such as "t20". ``values`` are (n_pairs, n_bands), NaN where missing, and
-    ``centre_frequencies`` (n_bands,) are in Hz.
+    ``parameter`` is its key, such as "t20", and ``pairs`` are (source, receiver). ``values`` are
+    (n_pairs, n_bands), NaN where missing, and ``centre_frequencies`` (n_bands,) are in Hz.
     """
     cells = {
         f"{'>'.join(quote(name, safe='') for name in pair)}@{f:g}": value

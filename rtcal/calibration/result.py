@@ -830,8 +830,9 @@ class CalibrationResult(Result):
 
         ``changes`` are changes in the given order, or the changed room itself. ``name`` is the name of
         the planned change in the output. ``assumptions`` are the uncertainties that the prediction
-        assumes; None stands for `rtcal.Assumptions()`. Raises ModelError if the calibration has an
-        `AddedAbsorption` or `LinearObservations` term, and the errors of `rtcal.predict`.
+        assumes; None stands for `rtcal.prediction.Assumptions()`. Raises ModelError if the calibration
+        has an `AddedAbsorption` or `LinearObservations` term, and the errors of
+        `rtcal.prediction.predict`.
         """
         return predict(
             self, changes, assumptions=assumptions, name=name, run=run, run_after=run_after

@@ -93,13 +93,16 @@ class Model:
         self.nonnegative: list[Any] = []
 
     def parameter(self, shape: Any, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a cvxpy parameter whose value is ``compute(numbers)`` in every solve."""
+        """Return a cvxpy parameter of a shape, whose value in each solve is ``compute(numbers)``.
+
+        ``numbers`` are the values of room and measurement (`rtcal.calibration.unknowns.Numbers`).
+        """
         parameter = cp.Parameter(shape)
         self.parameters.append((parameter, compute))
         return parameter
 
     def by_band(self, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a cvxpy parameter with one number per configuration and band."""
+        """Return a cvxpy parameter, (n_configurations, n_bands), as `parameter` with this shape."""
         return self.parameter((self.layout.n_configurations, self.layout.n_bands), compute)
 
     def defined(self, expression: Any) -> Any:
@@ -299,7 +302,7 @@ class PriorDeviation(Term):
     gives the maximum-likelihood estimate of Bellows & Katz (2025), Eq. 19, and with
     ``PriorDeviation(sigma=1)`` their least-squares estimate (Eq. 7). Give correlations where errors go
     together: a data sheet that is too low at 500 Hz is likely too low at 1 kHz. With exact matches, a
-    band correlation often changes no coefficient (docs/modelling.md gives the conditions).
+    band correlation may change no coefficient (docs/modelling.md gives the conditions).
 
     Parameters
     ----------
@@ -491,7 +494,8 @@ class ExactMatch:
     def label(self, row: int, layout: Layout) -> str:
         """Return the text for messages by which a user knows the matched band.
 
-        ``row`` is the band's number from 0, counted over all bands of all configurations.
+        ``row`` is the band's number from 0, counted over all bands of all configurations, and
+        ``layout`` the order of the unknowns.
         """
         return f"exact match of T at {layout.band_label(row)} (m² of absorption)"
 
@@ -688,7 +692,7 @@ class BandSmoothness(Term):
 
     When to use it: with `SoftMatch` or bands without T, when a material's error is expected to change
     slowly over frequency. The term smooths the change and not alpha, so that a resonant absorber
-    keeps its peak. Begin with the weight 0.3. With exact matches the term often changes no coefficient
+    keeps its peak. Begin with the weight 0.3. With exact matches the term may change no coefficient
     (docs/modelling.md gives the conditions).
 
     Parameters
@@ -881,6 +885,7 @@ class AtMost:
         """Return the text for messages by which a user knows one inequality of this constraint.
 
         ``row`` is the number of the inequality, from 0: one for each band, in the order of the bands.
+        ``layout`` is the order of the unknowns.
         """
         lesser, greater = self._places(layout)
         return f"{layout.place(int(lesser[row]))} at most {layout.place(int(greater[row]))}"
@@ -948,7 +953,7 @@ class GroupAbsorption:
     def label(self, row: int, layout: Layout) -> str:
         """Return the text for messages by which a user knows the group and the limited band.
 
-        ``row`` is the number of the limited band, from 0.
+        ``row`` is the number of the limited band, from 0, and ``layout`` the order of the unknowns.
         """
         band = bands.label(layout.centre_frequencies[self._bands(layout)[row]])
         return f"absorption of {', '.join(self.materials)} at {band} (m²)"
