@@ -107,7 +107,7 @@ def _point(spread: Spread) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RoomData:
-    """Absorption area that the measured T of one room needs, with its covariance, as data for `learn`.
+    """Hold the absorption area that the measured T of one room needs, as data for `learn`.
 
     ``areas`` (n_configurations, n_materials) are the areas of the archive's materials in m². ``target``
     (n_configurations, n_bands) is the absorption area in m² that T needs, NaN in a band without T.
@@ -257,7 +257,11 @@ class Evidence:
 
 @dataclass(frozen=True, kw_only=True)
 class Lesson:
-    """Hold what one room contributed to the archive, and how well its T agrees with the other rooms."""
+    """Hold what one room contributed to the archive, and how well its T agrees with the other rooms.
+
+    ``factor`` is by how much all its coefficients differ from the archive's (0.1 is 10 % more), and
+    ``p_value`` is that of its T given the other rooms.
+    """
 
     room: str
     factor: float
@@ -273,7 +277,10 @@ class Lesson:
 
 @dataclass(frozen=True, kw_only=True)
 class Suspect:
-    """Name a material of one room that is probably another material than its name says."""
+    """Name a material of one room that is probably another material than its name says.
+
+    ``instead`` is the material of the archive that fits better; "" if none does.
+    """
 
     room: str
     material: str

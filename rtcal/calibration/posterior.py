@@ -79,8 +79,8 @@ class Posterior:
         """Return the lower and the upper end of each coefficient's credible interval.
 
         Both ends are (n_materials, n_bands). ``level`` is the probability that the interval contains
-        the coefficient. The interval is central: the same probability lies below and above it. If it
-        then does not contain the calibrated coefficient, it is moved just far enough to contain that.
+        the coefficient. The same probability lies below and above the interval, unless it would then
+        exclude the calibrated coefficient: in that case it is moved just far enough to contain it.
         Raises DataError for a ``level`` that is not between 0 and 1.
         """
         checks.number("level", level)

@@ -455,13 +455,13 @@ _ROUNDING = 1e-13
 
 
 def polish(program: QP, at: Active, tight: Flags) -> Iterate | None:
-    """Return the optimum by the active-set method, from a guess of the active bounds and rows.
+    """Return the optimum of a programme by the active-set method, from a guess of the active set.
 
-    Returns None if the method does not converge. The guess is ``at`` (size,), -1 or 1 for variables at
-    their lower or upper bound and else 0, and ``tight`` (n_rows,), True for inequalities that hold with
-    equality. Each round solves the optimality conditions for the active bounds and rows. Violated
-    bounds and rows then become active; if none is violated, active ones with a multiplier of the wrong
-    sign become inactive. The optimum depends on the final active set alone, and not on the guess.
+    The guess is ``at`` (size,), -1 or 1 for variables at their lower or upper bound and else 0, and
+    ``tight`` (n_rows,), True for inequalities that hold with equality. Each round solves the optimality
+    conditions with these as equalities. Bounds and rows that the solution violates then become active;
+    if none is violated, active ones with a multiplier of the wrong sign become inactive. Returns None
+    if this does not end within 100 rounds. The optimum does not depend on the guess.
     """
     at, tight, absolute = at.copy(), tight | program.equal, program.absolute
     at[program.fixed] = 0
@@ -552,13 +552,14 @@ def _rows_alone(
 
 
 def closed_form(program: QP, at: Active | None = None) -> Iterate | None:
-    """Return the optimum by `polish`, which starts with no active inequality; None if that fails.
+    """Return the optimum of a programme by `polish` from the guess that no inequality is active.
 
-    The first round is one linear system. For independent coefficients with an exact match it is the
-    closed form of Bellows & Katz (2025), Eqs. 22 to 25, as in `rtcal.calibration.exact`. Bounds that
-    its solution violates are then held, and the system is solved again. ``at`` (size,) is -1 or 1 for
-    variables that start at their lower or upper bound and else 0; None if none does. Auxiliary
-    variables of a term that have a lower bound start at this bound.
+    Returns None if `polish` does. The first round solves one linear system. If the coefficients are
+    independent and match T exactly, its solution is the closed form of Bellows & Katz (2025), Eqs. 22
+    to 25, as in `rtcal.calibration.exact`; coefficients outside their bounds are then set to these, and
+    the system is solved again. ``at`` (size,) is -1 or 1 for variables that start at their lower or
+    upper bound and else 0; None if none does. Variables that a term has defined with a lower bound
+    start at this bound.
     """
     own = np.isfinite(program.lower)
     own[program.compiled.places] = False
@@ -740,13 +741,13 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
 
     ``point`` has the variables and multipliers of the answer. ``convexity`` is a number m with which f
     - m |x|²/2 is convex, where f is the objective and x are the deviations of the unknowns from the
-    input in standard deviations. With dual residual r and duality gap g, a point at which all
-    constraints hold has a distance from the optimum x* of
+    input in standard deviations. If all constraints hold, the distance from the optimum x* satisfies
 
-        m |x - x*|² <= |r| |x - x*| + g.
+        m |x - x*|² <= |r| |x - x*| + g
 
-    To this distance is added the step by which the point misses equalities, and the rounding errors. If
-    m = 0, the error bound is the distance between the bounds of the coefficient.
+    with the dual residual r and the duality gap g. To this distance is added the step by which the
+    point misses equalities, and the rounding errors. If m = 0, the error bound is the distance between
+    the bounds of the coefficient.
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)

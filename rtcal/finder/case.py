@@ -188,8 +188,9 @@ class ChangedMaterial:
 class Configuration:
     """Hold one measurement of a room, and what was changed in the room for this measurement.
 
-    Examples of changes are closed curtains, or chairs that were taken out. Raises DataError for a value
-    of the wrong kind; the message names the place and the value.
+    ``measured`` are means over positions, and ``changes`` has the materials with other coefficients
+    than the room's, such as a wall behind a closed curtain. Raises DataError for a value of the wrong
+    kind; the message names the place and the value.
     """
 
     name: str
@@ -588,7 +589,10 @@ class Case:
         write_text(path, self.to_json())
 
     def to_json(self, caution: str = "") -> str:
-        """Return the JSON text that `save` writes, with the text ``caution`` at its head."""
+        """Return the JSON text that `save` writes.
+
+        The text ``caution`` is its first entry, for whoever opens the file; with "" there is none.
+        """
         head = {"caution": caution} if caution else {}
         return json.dumps(head | self.to_dict(), indent=1, allow_nan=False) + "\n"
 

@@ -43,8 +43,8 @@ _ALIKE = 1.25
 def over_frequency(values: Array) -> str:
     """Return in words how the absolute value of ``values`` (n_bands,) changes with frequency.
 
-    A straight line is fitted to the absolute values over the band numbers by least squares. For a
-    single band the result is "alike at all frequencies".
+    A straight line is fitted to the absolute values over the band numbers by least squares. They count
+    as alike if the larger end of the line is less than 1.25 times the other, and for a single band.
 
     Examples
     --------
@@ -190,7 +190,10 @@ much. Chosen on development rooms."""
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """Hold the verdict of a search and what is identified, as `conclude` decides it for a `Finding`."""
+    """Hold the verdict of a search and what is identified, as `conclude` decides it for a `Finding`.
+
+    ``family`` is the group of effects that is identified, ``named`` are the single effects.
+    """
 
     verdict: str
     family: str | None = None
@@ -254,7 +257,8 @@ def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) 
     """Return the reason why the data are too weak to report something missing, or None.
 
     There is a reason if "none" still has a probability of 1/3 or more, or if no effect and no group has
-    as much, although the score exceeds its threshold.
+    as much, although the score exceeds its threshold. ``probabilities`` are those of effects and
+    ``families`` those of groups, by name.
     """
     nothing = probabilities.get(NONE, 0.0)
     if nothing >= FAIR:
@@ -371,7 +375,8 @@ LOCATED = 0.5
 class Candidate:
     """Hold one possible explanation of the data: an effect, its probability, its size and its place.
 
-    The place is known only if positions were compared. ``family`` is the group of the effect.
+    ``effect`` is its name and ``family`` that of its group. ``size`` is in ``unit``, with the 90 %
+    interval ``low`` to ``high``. The ``surface`` is known only if positions were compared.
     """
 
     effect: str

@@ -634,7 +634,10 @@ class Furniture(AbsorbingObject):
 
 @dataclass(frozen=True)
 class Opening(Absorber):
-    """Describe a missing opening, through which sound energy leaves and does not return: alpha = 1."""
+    """Describe a missing opening, through which sound leaves and does not return (Kuttruff).
+
+    Its absorption coefficient is 1 in all bands.
+    """
 
     name: ClassVar[str] = "opening"
     family: ClassVar[str] = "added absorption, flat"

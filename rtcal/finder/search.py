@@ -78,14 +78,15 @@ def find(
         Seed of the random numbers; without effect for means over positions.
     **options
         - ``effects``: sequence of `Effect`; the effects to try, by default the whole library. With
-        ``before``, only effects that add absorption are used, once as added and once as removed.
+          ``before``, only effects that add absorption are used, once as added and once as removed.
         - ``only``, ``without``: names of the effects to try alone, or to leave out. With ``before``
-        also "air" for the climate, and "unknown" for a change that has the spectrum of no effect.
-        - ``controls``: errors of the model, which an earlier finding of this room has, so that they
-        are not simulated again: `ControlRuns` at positions, a sequence of `ControlRooms` for means.
+          also "air" for the climate, and "unknown" for a change that has the spectrum of no effect.
+        - ``controls``: errors of the model, so that they are not simulated again: at positions the
+          `ControlRuns` of an earlier finding (``finding.controls``), for means the `ControlRooms`
+          that `rtcal.finder.control_rooms` returns.
         - ``cache``: folder in which simulations are kept for the next search.
         - ``progress``: function that is called with the name of the step, and with the numbers of
-        finished and of all steps.
+          finished and of all steps.
         - ``scheduler``: address of a Dask scheduler whose workers simulate; by default this machine.
         - ``prior`` and ``most``, for means over positions only: see `rtcal.finder.means.search.find`.
 

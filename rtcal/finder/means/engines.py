@@ -119,9 +119,10 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     """Draw random coefficients of a case's room, (n, n_configurations, n_materials, n_bands).
 
     They are normally distributed with the input alpha, its sigma and the room's correlation between
-    bands. Values below 0.001 or above 0.99 are replaced by these limits; pieces such as persons have
-    0.99 times the largest area that a piece may have. A material that a configuration changes is drawn
-    independently. The order of materials has no effect on the numbers from ``rng``.
+    bands. Values below 0.001 or above 0.99 are replaced by these limits; for pieces such as persons,
+    the upper limit is 0.99 times the largest absorption area that rtcal allows for a piece. A material
+    that a configuration changes is drawn independently. The order of materials has no effect on the
+    numbers from ``rng``.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)

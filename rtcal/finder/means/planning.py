@@ -61,7 +61,10 @@ _OF_EACH = 5
 
 @dataclass(frozen=True)
 class Proposal:
-    """Propose a measurement, with what it is expected to show about missing effects, and its cost."""
+    """Propose a measurement, with what it is expected to show about missing effects, and its cost.
+
+    ``information`` is in nats (1 nat = 1.44 bit), and ``cost`` in hours.
+    """
 
     measurement: Reason
     """Measurement, as a key of `COSTS` with its values; ``str`` of it is its words."""
@@ -78,7 +81,7 @@ class Proposal:
 
     @property
     def per_cost(self) -> float:
-        """Expected information in nats (natural logarithm; 1 nat = 1.44 bit) per hour."""
+        """Expected information per hour, in nats (1 nat = 1.44 bit)."""
         return self.information / self.cost
 
     def to_dict(self) -> dict[str, Any]:
@@ -89,7 +92,12 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Result):
-    """Hold which effects a case's data could distinguish, and what to measure next."""
+    """Hold which effects a case's data could distinguish, and what to measure next.
+
+    ``print`` shows it as tables. ``separations`` has the ln Bayes factor that is expected between each
+    two effects with the present data, and ``proposals`` the further measurements, the most informative
+    per hour first.
+    """
 
     record_kind: ClassVar[str] = "plan 2"
 
@@ -129,7 +137,7 @@ class Plan(Result):
         return f"<Plan with {', '.join(self.parameters)}: {len(self.reached)} effects>"
 
     def blocks(self) -> list[Block]:
-        """Return tables: the change by each effect, similar effects, and the next measurements."""
+        """Return the printed tables: change by each effect, similar effects, next measurements."""
         made: list[Block] = import_module(WORDS).of_plan(self)
         return made
 
@@ -353,13 +361,13 @@ class Information:
         self._normal = np.random.default_rng(0).standard_normal((_DRAWS, covariance.shape[1]))
 
     def entropy(self) -> float:
-        """Return how uncertain the combination of missing effects is, as entropy in nats."""
+        """Return how uncertain the combination of missing effects is, as entropy in nats (1.44 bit)."""
         return float(self._entropy(self._weights[None])[0])
 
     def of(self, further: Mask) -> float:
-        """Return the information in nats that also measuring the values ``further`` (m,) would give.
+        """Return the information in nats that also measuring the values ``further`` would give.
 
-        It is the expected decrease of the entropy of the missing effects.
+        It is the expected decrease of `entropy`. ``further`` (m,) is True for these values.
         """
         return self._information(further | self._measured) - self._information(self._measured)
 
@@ -492,7 +500,11 @@ class _FurtherMeasurement:
 
 
 def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[_FurtherMeasurement]:
-    """Return the measurements that a user can make in a case's room."""
+    """Return the further measurements that can be made in a case's room.
+
+    They are parameters that were not measured, more positions, another climate, the largest surface
+    covered with mineral wool, the removal of what may be missing, and the configurations ``planned``.
+    """
     room, first = case.room, case.configurations[0]
     out = [
         _FurtherMeasurement(Reason(kind), parameters)
@@ -527,10 +539,11 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[_Further
 def extended(
     problem: MeansProblem, further: Sequence[_FurtherMeasurement]
 ) -> tuple[MeansProblem, Mask, list[Mask]]:
-    """Return the problem of a search with further measurements, and masks of measured and new features.
+    """Return a search's problem with further measurements added to its data.
 
-    The mask (m,) is True for features that are measured already. The list has a mask (m,) for each
-    further measurement, True for the features that it adds. The hypotheses stay the same.
+    The hypotheses of the ``problem`` stay the same. The second result (m,) is True for the values (ln
+    T20, C80 and others) that are measured already. The third has an array (m,) for each of the
+    measurements ``further``, True for the values that it adds.
     """
     case, observed = problem.case, problem.observed
     new = [f for f in further if f.configuration is not None]

@@ -236,10 +236,12 @@ def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Arra
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeansHypotheses(_PredictedFeatures):
-    """Hold the predictions with each effect and each set of its parameter values that are tried.
+    """Hold what a model predicts with each effect that is tried, for each set of its parameter values.
 
-    Such an effect with values is a hypothesis; the first is "none", without an effect. The predictions
-    are those of `_PredictedFeatures`, with one hypothesis per state.
+    An effect with one set of values is a hypothesis; the first hypothesis is "none", without an effect.
+    ``features`` (n_hypotheses, n_configurations, 5, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and
+    C80 and G in dB. ``slopes`` are their derivatives by ln T20, and ``jacobian`` is -d ln T20 / d
+    alpha.
     """
 
     names: tuple[str, ...]
@@ -1588,7 +1590,10 @@ class SetPosterior:
         return most_probable_first(out)
 
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
-        """Return the probability that an effect of each group is missing, the most probable first."""
+        """Return the probability that an effect of each group is missing, the most probable first.
+
+        ``effects`` are the effects by name.
+        """
         every, parts = self.effects(), list[tuple[str, float]]()
         for names, p in self.sets.items():
             narrow = {family_of(name, effects) for name in names}
