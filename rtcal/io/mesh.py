@@ -24,7 +24,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -385,19 +385,23 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
         components = [instance(part) for part in of.iter(f"{_3MF}component")]
         return name, np.reshape(corners, (-1, 3)), faces, components[::-1]
 
-    def placed() -> Iterator[list[Row]]:
+    def placed() -> Iterator[tuple[str | None, Array]]:
         left = [instance(item) for item in reversed(items)]
         while left:
             number, matrix = left.pop()
-            name, corners, faces, components = drawn(number)
-            points = corners @ matrix[:3, :3] + matrix[3, :3]
-            yield [("", name, points[face]) for face in faces]
-            left += [(of, own @ matrix) for of, own in components]
+            yield number, matrix
+            left += [(of, own @ matrix) for of, own in drawn(number)[3]]
 
     with _parsing(path, "3mf"):
-        faces = _within_budget(placed(), path)
-    several = len({name for _, name, _ in faces}) > 1
-    named = [(name if several else "", name, corners) for _, name, corners in faces]
+        parts = _within_budget(placed(), lambda part: len(drawn(part[0])[2]), path)
+        faces = [
+            (name, corners[face] @ matrix[:3, :3] + matrix[3, :3])
+            for number, matrix in parts
+            for name, corners, of, _ in [drawn(number)]
+            for face in of
+        ]
+    several = len({name for name, _ in faces}) > 1
+    named = [(name if several else "", name, corners) for name, corners in faces]
     return _Drawn(named, units.OF_3MF.get(stated), notes=notes)
 
 
@@ -411,13 +415,23 @@ def _known(face: Sequence[int], n_points: int, part: str, path: str) -> list[int
     return [*face]
 
 
-def _within_budget(parts: Iterable[list[Row]], path: str) -> list[Row]:
-    """Return the faces of all instances of parts; DataError if they, or the instances, are too many."""
-    faces: list[Row] = []
-    for instances, rows in enumerate(parts):
-        faces += rows
-        budget.require(max(instances, len(faces)), budget.MAX_FACES, "faces", path, _SIMPLER)
-    return faces
+_Part = TypeVar("_Part")
+
+
+def _within_budget(
+    parts: Iterable[_Part], faces_of: Callable[[_Part], int], path: str
+) -> list[_Part]:
+    """Return the instances of parts; DataError if they, or their faces, are too many.
+
+    An instance is counted before its corners are computed.
+    """
+    instances: list[_Part] = []
+    count = 0
+    for part in parts:
+        count += faces_of(part)
+        budget.require(max(len(instances), count), budget.MAX_FACES, "faces", path, _SIMPLER)
+        instances.append(part)
+    return instances
 
 
 def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
@@ -522,19 +536,25 @@ def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
     with _parsing(path, "COLLADA"):
         ignored = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
         model = collada.Collada(io.BytesIO(content), ignore=ignored)
-        faces = _within_budget(
-            (
-                [
-                    (_name(part), name or geometry.original.name, polygon.vertices)
-                    for part in (geometry.primitives() if geometry is not None else ())
-                    if not isinstance(part, collada.lineset.BoundLineSet)
-                    for polygon in part
-                ]
-                for node in (model.scene.nodes if model.scene else ())
-                for name, geometry in _placed(node, np.eye(4), "")
-            ),
-            path,
+        lines_only = collada.lineset.LineSet, collada.lineset.BoundLineSet
+
+        def n_faces(placed: tuple[str, Any]) -> int:
+            geometry = placed[1]
+            drawn = () if geometry is None else geometry.original.primitives
+            return sum(len(part) for part in drawn if not isinstance(part, lines_only))
+
+        nodes = model.scene.nodes if model.scene else ()
+        placed = _within_budget(
+            (part for node in nodes for part in _placed(node, np.eye(4), "")), n_faces, path
         )
+        faces = [
+            (_name(part), name or geometry.original.name, polygon)
+            for name, geometry in placed
+            if geometry is not None
+            for part in geometry.primitives()
+            if not isinstance(part, lines_only)
+            for polygon in _polygons(part)
+        ]
         stated, up = model.assetInfo.unitmeter, model.assetInfo.upaxis
     return _Drawn(faces, None if stated is None else float(stated), up == "Y_UP")
 
@@ -554,6 +574,17 @@ def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
     yield name, None
     for child in children:
         yield from _placed(child, matrix @ node.matrix, own or name)
+
+
+def _polygons(part: Any) -> Iterator[Array]:
+    """Yield the corners (n, 3) of each polygon of a primitive."""
+    if not len(part):
+        return
+    corners = part.vertex[part.vertex_index]
+    if corners.ndim == 3:  # triangles
+        yield from corners
+    else:
+        yield from (corners[start:end] for start, end in part.polyindex)
 
 
 def _name(part: Any) -> str:
