@@ -430,6 +430,11 @@ class Change:
         DataError if the room does not allow the change.
         """
         if self.air is not None:
+            if room.air is None:
+                raise DataError(
+                    "air: the room has no air before the change, so that all absorption of the air "
+                    "would count as a change. Give the room its air ([air] in its file)"
+                )
             return room.with_air(self.air)
         if self.volume is not None:
             least, most = room.volume / MOST_VOLUME, room.volume * MOST_VOLUME

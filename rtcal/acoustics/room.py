@@ -1658,6 +1658,19 @@ def is_calibrated(room: Room) -> bool:
     return room.calibration is not None and room.calibration.method not in (ARCHIVE, CHANGED)
 
 
+def refuse_other_equation(room: Room, name: str) -> None:
+    """Raise DataError if a room was calibrated by another equation than the one of this name.
+
+    By the other equation its coefficients do not give the T to which it was calibrated.
+    """
+    record = room.calibration
+    if record is not None and is_calibrated(room) and record.equation not in ("", name):
+        raise DataError(
+            f'room "{room.name}" was calibrated with the equation {record.equation}, and has another '
+            f"T by {name}. Use the equation {record.equation}, or the room before its calibration"
+        )
+
+
 def times_of(room: Room) -> Array:
     """Return T in s to which a room was calibrated, (n_bands,), from its record; NaN where unknown.
 

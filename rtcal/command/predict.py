@@ -154,11 +154,17 @@ def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) ->
 
     if not Path(room).is_dir():
         return None
-    if measured is not None or also:
-        raise DataError(
-            f"MEASURED is given, but the calibration in the folder {room} has its own "
-            "measured T. Leave MEASURED out"
-        )
+    of_equation = click.get_current_context().get_parameter_source("equation")
+    own = {
+        "MEASURED": ("measured T", measured is not None or also),
+        "--equation": ("equation", of_equation is click.core.ParameterSource.COMMANDLINE),
+    }
+    for name, (what, given) in own.items():
+        if given:
+            raise DataError(
+                f"{name} is given, but the calibration in the folder {room} has its own {what}. "
+                f"Leave {name} out"
+            )
     found: Result = load(room)
     return found
 

@@ -698,13 +698,17 @@ def probability_within(samples: Array, low: Array, high: Array) -> Array:
 
 
 def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
-    """Raise DataError if states of one room differ in bands, or in a material's alpha or sigma.
+    """Raise DataError if states of one room differ in bands or in a material's alpha or sigma.
 
+    Also if some have air and others have none.
     ``places`` are the names of the rooms in the message, such as ``room "box"``.
     """
     for place, room in list(zip(places, rooms, strict=True))[1:]:  # the first is that compared with
         if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
             raise DataError(f"{place} has other bands than {places[0]}; both must have the same")
+        if (room.air is None) != (rooms[0].air is None):
+            lacks, has = (place, places[0]) if room.air is None else (places[0], place)
+            raise DataError(f"{lacks} has no air, but {has} has air; give air to both")
         for i, material in enumerate(room.materials):
             owner = next(n for n, r in enumerate(rooms) if material in r.materials)
             j = rooms[owner].materials.index(material)

@@ -422,6 +422,8 @@ def _what(t: Treatment) -> tuple[object, ...]:
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
 """Probabilities for which `Design.frontier` gives the cost."""
 _BEST = 0.99
+_LEAST_CHANCE = 0.01
+"""Least probability of a target for which the cost of the areas that come closest is printed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -544,7 +546,7 @@ class Design(Result):
                 f"{self.probability_together:.2f}. Probabilities are means over random draws{drawn}."
             ),
             Note(f"Cost by the probability required in each band: {frontier}."),
-            *map(Note, made.sentences),
+            *map(Note, made.sentences or [words.EXACT_BEFORE]),
             Table(columns, treatments, corner="treatment"),
             Table(bands.labels(made.after.centre_frequencies), [*made.rows, *made.within(target)]),
         ]
@@ -664,15 +666,15 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
                 f"If panels may be cut, these areas do: {areas}. {_price(model, found.areas)}.",
             ]
     at = model.most_probable
-    each = [
-        f"{labels[k]} {p:.2f}" for k, p in enumerate(model.probability(at)) if target.bounded[k]
-    ]
+    chances = model.probability(at)
+    each = [f"{labels[k]} {chances[k]:.2f}" for k in np.flatnonzero(target.bounded)]
+    has_chance = chances[target.bounded].min() >= _LEAST_CHANCE
     said = [
         "No areas of these treatments bring T into the range with a probability of "
         f"{probability:g}.",
         *_already_short(model),
-        f"The areas that come closest have these probabilities by band: {', '.join(each)}. "
-        f"{_price(model, at)}.",
+        f"The areas that come closest have these probabilities by band: {', '.join(each)}.",
+        *([f"{_price(model, at)}."] if has_chance else []),
     ]
     wider = model.widening(probability)
     if wider is None:

@@ -19,7 +19,7 @@ from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, of_surface
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room, is_calibrated, refuse_repeats
+from rtcal.acoustics.room import Room, is_calibrated, refuse_other_equation, refuse_repeats
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
@@ -66,7 +66,9 @@ def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoo
     calibration.
     """
     if isinstance(known, Room):
-        return KnownRoom.stated(known, equation or Eyring())
+        equation = equation or Eyring()
+        refuse_other_equation(known, equation.name)
+        return KnownRoom.stated(known, equation)
     found = known if isinstance(known, KnownRoom) else getattr(known, "known", None)
     if found is None:
         raise DataError(

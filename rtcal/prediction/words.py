@@ -27,8 +27,6 @@ ALIKE, CHANGED_ALONE = (
 )
 COVERS, PLACES = "the covered areas", "where the cover lies"
 
-_CAUTION = "Caution: "
-
 _ADVICE = {
     STAYS: "measure T in a second state of the room, such as with part of the change, to separate "
     "the absorption that stays from that of the change",
@@ -86,6 +84,10 @@ CALIBRATED_BEFORE = (
 GIVEN = (
     "The intervals of T after the change hold for the measured T before as it stands in the table. "
     "Its standard uncertainty, in the line below it, adds to them."
+)
+EXACT_BEFORE = (
+    "The measured T counts as exact: the probability does not include its uncertainty, which is in the "
+    "table."
 )
 UNPLACED = (
     "The room does not give the axes of the surfaces that change. The interval therefore allows "
@@ -150,8 +152,7 @@ def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]
 
 
 _UNEVEN = "Caution: the absorption is uneven after the change"
-_STEP = "Next:"
-_NEXT = f"{_STEP} to narrow the interval, "
+_NEXT = "Next: to narrow the interval, "
 _CALIBRATION = "Calibration "
 _JOINED = (_UNEVEN, _CALIBRATION, _NEXT)
 """Beginnings of the sentences that end with values after a colon, which `joined` joins."""
@@ -160,25 +161,26 @@ _JOINED = (_UNEVEN, _CALIBRATION, _NEXT)
 def joined(own: Sequence[tuple[str, str]]) -> list[str]:
     """Return the sentences of several variants, each with its variant's name.
 
-    ``own`` are pairs of name and sentence. A sentence that two variants share up to its values is
-    printed once, with the values of both.
+    ``own`` are pairs of name and sentence. A sentence that several variants share, or share up to its
+    values, is printed once, with the names or the values of all.
+
+    >>> joined([("panels", "Measure T."), ("curtain", "Measure T.")])
+    ['panels, curtain: Measure T.']
     """
     alike: dict[str, list[tuple[str, str]]] = {}
     for name, said in own:
-        start, _, values = said.rpartition(": ")
-        key = start if said.startswith(_JOINED) else f"{name}: {said}"
-        alike.setdefault(key, []).append((name, values.removesuffix(".") if key == start else said))
+        start, _, values = said.rpartition(": ") if said.startswith(_JOINED) else (said, "", "")
+        alike.setdefault(start, []).append((name, values.removesuffix(".")))
     found = []
     for start, each in alike.items():
-        name, said = each[0]
-        if len(each) > 1:
-            found.append(f"{start}: {'; '.join(f'{n} {values}' for n, values in each)}.")
+        if start.startswith(_JOINED) and len(each) > 1:
+            found.append(f"{start}: {'; '.join(f'{name} {values}' for name, values in each)}.")
             continue
-        said = f"{start}: {said}." if start.startswith(_JOINED) else said
-        of_caution = said.startswith(_CAUTION)
-        found.append(
-            f"Caution, {name}: {said.removeprefix(_CAUTION)}" if of_caution else f"{name}: {said}"
-        )
+        names, values = ", ".join(name for name, _ in each), each[0][1]
+        said = f"{start}: {values}." if start.startswith(_JOINED) else start
+        kind, _, rest = said.partition(": ")
+        of_kind = kind in ("Caution", "Next")
+        found.append(f"{kind}, {names}: {rest}" if of_kind else f"{names}: {said}")
     return found
 
 
@@ -188,7 +190,7 @@ def in_order(sentences: Sequence[str]) -> list[str]:
     >>> in_order(["Next: measure.", "Caution: uneven.", "T falls."])
     ['T falls.', 'Caution: uneven.', 'Next: measure.']
     """
-    return sorted(sentences, key=lambda s: s.startswith("Caution") + 2 * s.startswith(_STEP))
+    return sorted(sentences, key=lambda s: s.startswith("Caution") + 2 * s.startswith("Next"))
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:

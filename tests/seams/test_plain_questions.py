@@ -11,6 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import main
 from rtcal.datasets import examples
+from rtcal.support.errors import DataError
 
 
 def ran(capsys: pytest.CaptureFixture[str], *words: object, code: int = 0) -> str:
@@ -168,3 +169,91 @@ def test_a_repeated_command_writes_the_same_bytes(
             written.append({path.name: path.read_bytes() for path in every})
         first, second = written
         assert first == second, name
+
+
+def variants(*own: tuple[str, list[str]]) -> str:
+    """A file of variants, each with its name and its changes."""
+    return "\n".join(
+        f'[[variant]]\nname = "{name}"\n'
+        + "".join(f"[[variant.change]]\n{each}\n" for each in made)
+        for name, made in own
+    )
+
+
+def test_air_that_the_room_lacks_is_no_change(
+    cr2, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All absorption of the air was a change, of a room whose measured T contained it."""
+    room, measured = cr2
+    found, bare = rt.calibrate(*cr2), rt.calibrate(room.with_air(None), measured)
+    warm = rt.prediction.Change(air=rt.Air(26, 60))
+    same = found.predict(rt.prediction.Change(air=room.air))
+    assert not same.half_width.any()
+    with pytest.raises(DataError, match=r"no air before the change.*\[air\]"):
+        bare.predict(warm)
+    for known, other in ((bare, room), (found, room.with_air(None))):
+        with pytest.raises(DataError, match="has no air, but"):
+            rt.prediction.predict(known, other)
+    folder = example("change", tmp_path)
+    path, change = folder / "room.toml", folder / "own.toml"
+    path.write_text(re.sub(r"\[air\][^\[]*", "", path.read_text()))
+    change.write_text(variants(("air", ["air = {temperature = 26, humidity = 60}"])))
+    said = ran(capsys, "predict", path, folder / "t.csv", "--change", change, code=2)
+    assert 'variant "air"' in said
+
+
+def test_a_sentence_of_several_variants_is_printed_once_and_the_next_step_last(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = example("change", tmp_path)
+    change = folder / "own.toml"
+    some = [(f"{volume} m³", [f"volume = {volume}"]) for volume in (150, 160)]
+    change.write_text(variants(("as it is", []), *some))
+    said = ran(capsys, "predict", folder / "room.toml", folder / "t.csv", "--change", change)
+    assert said.count("has an uncertainty of its own") == 1
+    assert "150 m³, 160 m³: The T measured before" in said
+    sentences = said[: said.index("T before (measured) / s")]
+    assert sentences.index("Next") > max(sentences.index("uncertainty of its own"), 0)
+
+
+def test_a_room_calibrated_by_one_equation_has_its_t_by_that_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The calibrated room had 5 % less than the measured T where nothing was changed."""
+    folder = example("change", tmp_path)
+    change = folder / "own.toml"
+    change.write_text(variants(("as it is", [])))
+    made = folder / "made"
+    ran(
+        capsys,
+        "calibrate",
+        folder / "room.toml",
+        folder / "t.csv",
+        "--equation",
+        "sabine",
+        "--out",
+        made,
+    )
+    said = ran(capsys, "predict", made / "room.toml", "--change", change, code=2)
+    assert "was calibrated with the equation Sabine" in said
+    ran(capsys, "predict", made / "room.toml", "--change", change, "--equation", "sabine")
+    said = ran(capsys, "predict", made, "--change", change, "--equation", "eyring", code=2)
+    assert "has its own equation. Leave --equation out" in said
+    ran(capsys, "predict", made, "--change", change)
+
+
+def test_a_design_says_what_its_probability_leaves_out_and_names_no_areas_in_vain(cr2) -> None:
+    """T of 1.40 ± 0.05 s was in a range of ± 1 % with a probability of 1, without a word."""
+    found = rt.calibrate(*cr2)
+    t = found.reverberation_time_after
+    tile = rt.Material("tile", [0.8] * 6, [0.05] * 6)
+    tiles = rt.prediction.Treatment("tiles", tile, largest=30, cost=90, covers="ceiling")
+    said = " ".join(
+        str(rt.design(found, [tiles], rt.prediction.Target(0.99 * t, 1.01 * t))).split()
+    )
+    assert "Nothing is needed" in said
+    assert "The measured T counts as exact" in said
+    with pytest.raises(rt.errors.InfeasibleError) as error:
+        rt.design(found, [tiles], rt.prediction.Target(1.3 * t, 1.5 * t))
+    assert "T is already too short" in str(error.value)
+    assert "cost" not in str(error.value)
