@@ -38,6 +38,7 @@ MAX_KEPT_BYTES = 60_000
 """Size of all the files of a reader that are kept in the repository."""
 KERNELS = [
     "rtcal.calibration.exact_kernel",
+    "rtcal.finder.positions.density_kernel",
     "rtcal.simulators.kernels",
     "rtcal.studies.trials_kernel",
 ]

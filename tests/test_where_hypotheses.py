@@ -10,6 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
+from rtcal.finder.evidence import with_columns
+from rtcal.finder.positions.density_kernel import LANES, of_own_errors
 from rtcal.finder.positions.problem import (
     Likelihood,
     ScatteringLevels,
@@ -130,6 +132,29 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
     # Groups of surfaces that are not told apart know of it, too.
     with_place = np.linalg.inv(covariance + of_pairs @ of_pairs.T)
     assert likelihood.inverse_with_place(hypothesis, 0) == pytest.approx(with_place, abs=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, LANES, LANES + 1])
+def test_errors_side_by_side_are_those_of_woodburys_identity(n: int) -> None:
+    n_bands, n_columns, m = 3, 4, 2
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((n_bands * (1 + n_columns), 30)) / 5
+    form = (root @ root.T).reshape(n_bands, 1 + n_columns, n_bands, 1 + n_columns)
+    change = rng.uniform(-1, 1, (n, n_bands))
+    across = rng.standard_normal((n, n_bands + n_columns, m))
+    # Columns of the change in each band, and those that are common to all bands.
+    factor = np.broadcast_to(form[:, 0, :, 0], (n, n_bands, n_bands))
+    side = np.einsum("hk,kcl->hcl", change, form[:, 1:, :, 0])
+    own = np.einsum("hk,hl,kcld->hcd", change, change, form[:, 1:, :, 1:])
+    inner = np.block([[factor, side.swapaxes(1, 2)], [side, own]])
+    square, half = with_columns(np.zeros((n, m)), 0.0, across, inner)
+    one, other = np.tril_indices(n_bands)
+    both = form[one, 1:, other, 1:] + form[other, 1:, one, 1:]
+    both[one == other] /= 2
+    products = np.ascontiguousarray(both.swapaxes(0, 1))
+    explained, more = of_own_errors(factor.copy(), side, change, products, across)
+    assert explained == pytest.approx(-square, rel=1e-12)
+    assert more == pytest.approx(half[:, 0], rel=1e-12)
 
 
 def test_what_covers_a_whole_surface_is_even() -> None:

@@ -646,6 +646,8 @@ class Likelihood:
         The errors' columns are d in one band with the factor of `ShiftHypothesis.error`, and W in a
         band by its change, W being `uneven`.
         """
+        from rtcal.finder.positions.density_kernel import of_own_errors
+
         (pull, of_stated), (columns, products) = residuals, self._of_response(shift.response)
         (n_bands, n_nodes), by_band = shift.weights.shape[1:], shift.weights.swapaxes(0, 1)
         pulled = columns.swapaxes(1, 2) @ pull.reshape(*columns.shape[:2], -1)
@@ -655,17 +657,16 @@ class Likelihood:
         square = of_stated - 2 * projected.sum(1) + forms.sum((1, 2))[:, np.newaxis]
         error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(n_bands)))
         across = error.T @ (projected - forms.sum(2)[..., np.newaxis])
-        inner = error.T @ forms @ error
+        change, side = np.zeros(shift.weights.shape[:2]), np.zeros((len(square), 0, n_bands))
+        products = np.zeros((0, self._of_uneven.shape[1], 0))
         if shift.uneven.any():
             change = shift.uneven[:, np.newaxis] * (self.changes(shift) @ self.amount)
             mixed = np.einsum("hk,lhkc->hcl", change, turned[..., n_nodes:])
             own = np.einsum("hk,kcm->hcm", change, pulled[:, n_nodes:])
             across = np.concatenate([across, own - mixed.sum(2)[..., np.newaxis]], axis=1)
-            both = (change[:, :, np.newaxis] * change[:, np.newaxis]).reshape(len(change), -1)
-            pairs = (both @ self._of_uneven).reshape(-1, *2 * self.uneven.shape[1:])
-            side = mixed @ error
-            inner = np.block([[inner, side.swapaxes(1, 2)], [side, pairs]])
-        return self._log(*with_columns(square, self.half, across, inner))
+            side, products = mixed @ error, self._of_uneven
+        explained, more = of_own_errors(error.T @ forms @ error, side, change, products, across)
+        return self._log(square - explained, self.half + more[:, np.newaxis])
 
     def inverse_with_place(self, shift: ShiftHypothesis, row: int) -> Array:
         """Return the inverse of the covariance with the error of a hypothesis' place, (n, n)."""
@@ -683,9 +684,11 @@ class Likelihood:
 
     @cached_property
     def _of_uneven(self) -> Array:
-        """W' K⁻¹ W by pairs of bands, (n_bands², n_columns²)."""
+        """W' K⁻¹ W of pairs of bands as `of_own_errors` takes it, (n_columns, n_pairs, n_columns)."""
         full = self.uneven.T @ np.moveaxis(self._by_band, 2, 1) @ self.uneven
-        return full.reshape(full.shape[0] ** 2, -1)
+        one, other = np.tril_indices(len(full))
+        both = full[one, other] + np.where(one == other, 0.0, 1.0)[:, None, None] * full[other, one]
+        return np.ascontiguousarray(both.swapaxes(0, 1))
 
     def _of_response(self, response: str) -> tuple[Array, Array]:
         """Return [N W] of each band, (k, v, a), and [N W]' K⁻¹ N, (l, n, k a)."""
