@@ -1,14 +1,15 @@
-"""An archive of calibrated rooms, and what they say of the materials that they share.
+"""An archive of calibrated rooms: coefficients of the materials that they have in common.
 
-The model is Gaussian. In room r, material i has in band k the coefficient, in all states of the room,
+The model is linear and normal. In room r, material i has in band k the coefficient, in all
+configurations of the room,
 
-    alpha_rik = mu_ik + d_ik + h mu_ik + e_rik + g_r mu_ik,
+    alpha_rik = mu_ik + d_ik + h mu_ik + e_rik + g_r mu_ik.
 
-with the table's entry mu and its sigma. d is how far the entry is off in all rooms, h how far all
-tables are off together, e how far the material in this room differs from others of its name, and g_r a
-factor of this room. The absorption area b_rsk that the T of its state s asks for is sum S_rsi
-alpha_rik, with an error of the equation relative to b, and the errors of T, volume and areas. So the
-means follow in one linear step, and the marginal likelihood in closed form (`Evidence`).
+mu is the handbook value, d its error in all rooms, h the relative error that all handbook values have
+in common, e the deviation of the material in this room from others of its name, and g_r a relative
+error of all coefficients of this room. The absorption area b_rsk that T needs in configuration s is sum
+S_rsi alpha_rik, with the errors of the equation, of T, volume and areas. The means therefore follow
+from one linear system, and the marginal likelihood in closed form (`Evidence`).
 """
 
 from __future__ import annotations
@@ -78,13 +79,15 @@ class Spread:
 
     table: float
     between: float
-    """``table``: error of a handbook entry in all rooms; ``between``: difference of a material of one
-    name between rooms. Both are in units of the input sigma."""
+    """``table``: standard deviation of a handbook value's error in all rooms. ``between``: that of a
+    material's deviation in one room from others of its name. Both are in units of the input sigma."""
     room: float
     together: float
-    """Relative standard deviation of a factor of one ``room``, and of all tables ``together``."""
+    """``room``: standard deviation of the relative error that all coefficients of one room have in
+    common. ``together``: that of the relative error that all handbook values have in common."""
     equation: float
-    """Relative error of the absorption area from the equation, independent in each state and band."""
+    """Relative error of the absorption area from the equation, independent in each configuration and
+    band."""
     correlation: float
     """Correlation of one material's errors in bands an octave apart."""
 
@@ -266,13 +269,14 @@ class Lesson:
     room: str
     factor: float
     factor_sigma: float
-    """Relative deviation of all coefficients of this room (``factor``), and its standard deviation."""
+    """Relative deviation of all coefficients of this room from the archive's (``factor``), and its
+    standard deviation."""
     q: float
     degrees_of_freedom: int
     p_value: float
     """p-value of the chi-square test of the room's T against the prediction from all other rooms."""
     taught: float
-    """Reduction by this room of the standard deviations of its materials' means, 0 to 1."""
+    """Share, 0 to 1, by which this room reduced the standard deviations of its materials' means."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,9 +323,11 @@ class Archive(Result):
     """Most probable spread within and between rooms; the sigmas above also have its uncertainty."""
     together: float
     together_sigma: float
-    """Relative error that all tables have in common (``together``), and its standard deviation."""
+    """Relative error that all handbook values have in common (``together``), and its standard
+    deviation."""
     room_sigma: float
-    """Relative standard deviation of the next room's factor of all coefficients."""
+    """Standard deviation of the relative error that all coefficients of the next room have in
+    common."""
     lessons: tuple[Lesson, ...]
     suspects: tuple[Suspect, ...]
     """Materials that are likely misnamed, the most likely first."""

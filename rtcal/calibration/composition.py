@@ -1,7 +1,7 @@
-"""A calibration composed for rooms: its terms, the order of its unknowns, its numbers, its QP.
+"""A calibration composed of terms for given rooms: order of the unknowns, values and programme.
 
-`numbers` brings the room and its T into the order of the unknowns; the compiled problem, which rooms of
-one layout share, is filled with them.
+`Composition.numbers` brings the values of the room and its T into the order of the unknowns. They are
+inserted in the compiled problem, which rooms with the same materials and bands share.
 """
 
 from __future__ import annotations

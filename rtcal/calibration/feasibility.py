@@ -1,6 +1,7 @@
-"""Feasibility: the bounds allow the measured T, which is checked analytically before solving.
+"""Check before solving whether coefficients within their bounds can give the measured T.
 
-Constraints that contradict each other are explained by the smallest relaxation that is feasible.
+If constraints contradict each other, the error names the smallest change that removes the
+contradiction.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""The posterior distribution of the coefficients, and their sensitivity to T.
+"""The probability distribution of calibrated coefficients, and their sensitivity to the measured T.
 
-`draws` makes marginals and draws of a normal density within bounds, equalities and inequalities.
-Everything that is known is one normal density (prior, T, other observations), and bounds on linear
-functions of the unknowns. Unknowns that neither of them couples are parts of their own. Per part:
+All knowledge (input, T, other observations) is one normal density, with bounds on linear functions of
+the unknowns. `draws` returns quantiles and random draws of such a density. Unknowns that neither the
+density nor a bound connects are groups by themselves. For each group:
 
-1. Each bound is replaced by a normal factor, such that every coordinate has the mean and variance that
-   its bound leaves it (expectation propagation; Minka 2001, Cunningham, Hennig & Lacoste-Julien 2011).
-2. Coordinates are drawn one after the other from evenly spread points (Sobol 1967), each within its
-   bound, and the factors of those that follow are taken along. A weight makes up for what the factors
-   are not exactly (Genz 1992, with the factors as in Botev 2017). Nearly all weights are alike.
-3. A marginal is the mixture, over the draws, of what the density is along a line through each of them.
-   Without bounds that is the normal density itself, with all digits.
+1. Each bound is replaced by a normal factor with which every unknown has the mean and variance that its
+   bound leaves it (expectation propagation; Minka 2001, Cunningham, Hennig & Lacoste-Julien 2011).
+2. The unknowns are drawn one after the other from evenly spread points (Sobol 1967), each within its
+   bound and with the factors of those that follow. A weight corrects the error of the factors (Genz
+   1992, with the factors as in Botev 2017). Nearly all weights are alike.
+3. The quantiles are those of a mixture: for each draw, the density along a line through it. Without
+   bounds this is the normal density itself, with all digits.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
-"""The QP: compiled once by cvxpy, solved with Clarabel or OSQP, polished and certified.
+"""The quadratic programme (QP): compiled once by cvxpy, solved by Clarabel or OSQP, refined and checked.
 
     minimise ½ v'Pv + c'v  subject to  A v = b,  A v <= b (the last rows),  lower <= v <= upper
 
-v has the deviations x = (alpha - mu) / sigma of the unknowns, and what terms define beside them.
+v has the deviations x = (alpha - mu) / sigma of the unknowns, and further variables of the terms.
 
-1. `compile_once` has cvxpy compile the terms once per structure; `CompiledProblem.filled` has it put
-   numbers into the matrices.
-2. `solve` asks a solver which bounds and inequalities are active. OSQP starts at `closed_form`, which
-   is step 3 from the guess that none is: its first round is the paper's closed form.
+1. `compile_once` has cvxpy compile the terms once per structure; `CompiledProblem.filled` inserts the
+   values of a room.
+2. `solve` finds with a solver which bounds and inequalities are active. OSQP starts at `closed_form`,
+   which is step 3 from the guess that none is active: its first round is the closed form of the paper.
 3. `polish` solves the optimality (KKT) conditions on the active set, one sparse linear system, by
    SuperLU with refinement. It corrects the set until no bound is violated and no multiplier has the
    wrong sign.
-4. `certify` computes residuals and gap anew from P, c, A and b. Nothing that a solver states is used,
-   and a solver that returns nothing is no failure: `closed_form` needs none.
+4. `certify` calculates residuals and duality gap from P, c, A and b, independently of the solver. A
+   solver that returns nothing is no failure, because `closed_form` needs none.
 """
 
 from __future__ import annotations

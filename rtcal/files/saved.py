@@ -1,8 +1,8 @@
-"""Results in files: their numbers for other programs, and the result itself as plain data.
+"""Save results to files and load them: numbers for other programs, and the whole result.
 
 A result is a frozen dataclass of numbers, texts, arrays and other such dataclasses, each written once.
-`load` makes them again by their constructors, which check what they are given. No code is stored: a
-file names classes of rtcal, or of the user's own that derive from one, and their fields.
+`load` makes them again by their constructors, which check the values. A file holds no code, only names
+of rtcal's classes, or of your own classes that derive from one, and the values of their fields.
 """
 
 from __future__ import annotations

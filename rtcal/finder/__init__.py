@@ -1,10 +1,10 @@
-"""Find what a model misses: compare it with measurements, name the effect, add it, verify it.
+"""Find what is missing from a room's model: compare it with a measurement, add the effect, check it.
 
     >>> import rtcal as rt
     >>> case = rt.finder.Case.from_file("case.toml")     # doctest: +SKIP
     >>> print(rt.find(case))                      # doctest: +SKIP
 
-docs/discrepancy.md has the method and what it can and cannot do.
+docs/discrepancy.md has the method and its limits.
 """
 
 from typing import TYPE_CHECKING

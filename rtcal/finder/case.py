@@ -9,7 +9,7 @@ name of a room's file, or a table as `rtcal.Room.to_dict` returns it, and so is 
     equation = "eyring"                  # or sabine, kuttruff, millington
     program = "geometrical"              # optional, of runs: it traces rays or image sources
 
-    [uncertainty]                        # optional, for values that state none
+    [uncertainty]                        # optional, for values without one
     time = 0.02                          # relative, of T20, T30, EDT
     level = 0.3                          # dB, of C80 and G
 
@@ -212,8 +212,8 @@ class Configuration:
     """Values that a simulation program gave for this configuration. These values are then the model,
     and the reverberation equation gives only their change with coefficients and effects."""
     left_out: Sequence[str] = ()
-    """Sentences on values that the program's run or the measurement lacks, and that `in_room` leaves
-    out."""
+    """Sentences on values that `in_room` leaves out, because the program's result or the measurement
+    does not have them."""
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
@@ -732,9 +732,9 @@ class PositionsCase:
     calibrated source where ``g`` was measured. A measured ``level`` may have any reference that all
     receivers of a source share."""
     simulated: Measurement | None = None
-    """Values that another program gave for the input coefficients, in the room's bands. They replace
-    the simulator's values, and the simulator gives only their change with each surface. Measured values
-    that the program lacks are left out, which a note says."""
+    """Values that another program calculated for the input coefficients, in the room's bands. They
+    replace the simulator's values, and the simulator only gives their change with each surface.
+    Measured values that the program did not calculate are left out, with a note."""
     exclude: Sequence[Pair] = ()
     """Measured source-receiver pairs that are left out."""
     surfaces: Mapping[str, Sequence[str]] | None = None
@@ -941,11 +941,11 @@ class StatesCase:
     variance: Array = field(init=False)
     """Noise variance of ``change``, from both states, (n_pairs, n_bands). For each pair it is the
     larger of the given variance and that expected of one decay: for T20 a relative standard deviation
-    of 0.88 / sqrt(B T), with the bandwidth B in Hz and T in s. The decays' noise does not cancel
-    between the states, because another absorption makes another field."""
+    of 0.88 / sqrt(B T), with the bandwidth B in Hz and T in s. The noise of the decays does not cancel
+    between the states, because the sound field changes with the absorption."""
     notes: tuple[str, ...] = field(init=False)
-    """Sentences on bands and pairs that one state lacks, on converted values, and on the uncertainties'
-    source."""
+    """Sentences on bands and pairs that only one state has, on converted values, and on where the
+    uncertainties come from."""
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)

@@ -1,7 +1,7 @@
-"""Probabilities and sizes of what explains the data, and what is claimed of it.
+"""Probabilities and sizes of what explains a measurement, and the rules by which it is identified.
 
-Of all observation models; words are made of them in `rtcal.report.finding_words` alone.
-`rtcal.finder.records` has how often such claims were right.
+These rules are the same for means over positions, for every position and for two states. The sentences
+are made in `rtcal.report.finding_words`. `rtcal.finder.records` has how often such results were right.
 """
 
 from __future__ import annotations
@@ -402,7 +402,8 @@ class Candidate:
     """Middle (x, y, z) in m of each part of a large surface, and the probability that the object is on
     this part alone. The rest of the probability is that of an object spread over the surface."""
     coefficients: OffTogether | None = None
-    """Common error of the input coefficients, for means, if it is likely beside the effect."""
+    """Error that all input coefficients have in common, for means, if it is likely in addition to the
+    effect."""
     absorption: Array | None = None
     """Absorption area that the effect adds, for means, over the room's mean absorption area, (3,
     n_bands): for the mean of the size, and for the lower and upper end of its interval."""

@@ -1,4 +1,4 @@
-"""A finding, its verification, and the calibration of the model with what was found: all in one."""
+"""Find what is missing from a model, check it, add it and calibrate the model, in one call."""
 
 from __future__ import annotations
 

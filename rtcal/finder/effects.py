@@ -1,9 +1,9 @@
-"""The library of effects that a model may lack, and the rules that each must obey.
+"""The library of effects that may be missing from a model, and the rules that each must obey.
 
-Absorbers stand in the room: porous and resonating ones, an opening, people, an audience and furniture.
-The others are of the whole room, of its measurement, or of what is stated of one material: a wrong
-area, volume or equation, a covered material, air that was left out, a field that is not diffuse, a
-second room, noise, and a source that is not omnidirectional. A message names the effect and the rule.
+Absorbers are porous layers, curtains, resonators, panels, an opening, people, an audience and
+furniture. The other effects are a wrong area, volume or equation, a covered material, air absorption
+that was left out, a field that is not diffuse, a second room, noise, and a directional source. An error
+message names the effect and the rule.
 """
 
 from __future__ import annotations
@@ -91,10 +91,9 @@ class Effect(ABC):
     removable: ClassVar[bool] = False
     """Whether the object can be taken out of the room."""
     size_error: ClassVar[float] = 0.25
-    """Standard deviation of ln size (of the size itself where it can be negative) that the simplified
-    physics of the effect adds, for example because the position of an opening is unknown. Chosen on the
-    development rooms of benchmarks/studies/hidden_world, so that 90 % intervals contain the true
-    size."""
+    """Standard deviation of ln size (of the size itself where it can be negative) from the simplified
+    physics of the effect, for example because the position of an opening is unknown. Chosen on
+    simulated rooms (benchmarks/studies/hidden_world), so that 90 % intervals contain the true size."""
     family: ClassVar[str] = "of your own"
     """Name of the group of effects that change the measurement in a similar way. The name "added
     absorption, ..." begins the names of several groups of added absorption."""
@@ -106,9 +105,9 @@ class Effect(ABC):
     """Odds of the effect before the measurement, relative to the library's other effects; most have
     1."""
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
-    """Three standard deviations of the relative error of the effect's change: an error common to all
-    bands, an error that grows per octave from 1 kHz, and an error per band, of which half is left an
-    octave away."""
+    """Three standard deviations of the relative error of the effect's change: of an error common to all
+    bands, of an error that grows per octave from 1 kHz, and of an error per band with a correlation of
+    0.5 between neighbouring octaves."""
     formula_error: ClassVar[float] = 0.106
     """Standard deviation of the relative error of the effect's change in a single parameter such as T20
     or C80, from errors of the equation that no two parameters share."""
@@ -117,9 +116,9 @@ class Effect(ABC):
     largest_share: ClassVar[float] = 0.25
     """Largest share of all surfaces of the room that the effect is assumed to cover."""
     stands_on: ClassVar[Sequence[str]] = ()
-    """Kinds of surfaces on which the effect may stand: "floor", "wall" and "ceiling". With a
-    measurement of each position it is tried on each of them. An effect without any is tried only for
-    means over positions."""
+    """Kinds of surfaces on which the effect may be: "floor", "wall" and "ceiling". With a measurement
+    of each position it is tried on each of them. An effect without any is tried only for means over
+    positions."""
     shares: ClassVar[Sequence[float]] = ()
     """Shares of a surface that are tried, for an effect that takes absorption away from the surface."""
     needs_directions: ClassVar[bool] = False
@@ -1230,7 +1229,7 @@ def _check(place: str, effect: Any) -> None:
 
 
 IN_RUN = "a geometrical program computes none"
-"""Reason, as a sentence, why an effect is not tried beside the run of a geometrical program."""
+"""Reason, as a sentence, why an effect is not tried if a geometrical program simulated the model."""
 
 
 def judged_effects(

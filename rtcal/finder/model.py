@@ -1,8 +1,8 @@
-"""A model's predictions for a room in one state.
+"""Predictions of T20, EDT, T30, C80 and G for a room in one acoustic state.
 
 A `RoomState` holds all data of the prediction. An effect returns a changed state: with more absorption,
-another volume or equation, a noise floor, or another ``shape`` of the decay, such as that of a field
-that is not diffuse (`DirectionalDecay`).
+another volume or equation, background noise, or another ``shape`` of the decay, such as that of a
+non-diffuse field (`DirectionalDecay`).
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Decay:
 
 
 VOLUME_OF_MESH, VOLUME_TYPED = 0.05, 0.1
-"""Relative standard deviation of a volume where the room states none: of a mesh, and of a number. A
-volume is read off drawings, and its error is that of what they leave out."""
+"""Relative standard deviation of a volume without uncertainty: of a mesh, and of a number. A volume is
+taken from drawings, and its error is that of what they leave out."""
 
 
 def volume_sigma_of(room: Room) -> float:

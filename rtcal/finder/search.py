@@ -1,4 +1,4 @@
-"""Find what a model misses: by means over positions, at every position, or between two states."""
+"""Find what is missing from a model: by means over positions, at every position, or in two states."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""Reference rooms: rooms like the case's, without a missing effect, in two independent simulators.
+"""Reference rooms: simulated rooms like the case's, from which nothing is missing.
 
-The difference between simulator and model is the model's error. A reference room is a box of the case's
-volume. Its walls along each axis absorb as much as the case's materials that face along this axis.
-alpha is drawn from the prior; positions and scattering are drawn at random.
+The difference between two independent simulators and the reverberation equation in these rooms is the
+equation's error. A reference room is a box of the case's volume. Its walls along each axis absorb as
+much as the case's materials that face along this axis. Coefficients, positions and scattering are
+random.
 """
 
 from __future__ import annotations

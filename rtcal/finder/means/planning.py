@@ -1,13 +1,12 @@
 """Plan measurements: which effects the data could distinguish, and what to measure next.
 
-A further measurement is further parameters of the configurations that there are, or a further
-configuration: the room again at other positions, in another climate, with a surface covered, or
-without what can be taken out of it.
+A further measurement is that of further parameters in the same configurations, or that of a further
+configuration: the room again at other positions, in another climate, with a covered surface, or without
+objects that can be taken out of it.
 
-The information that a measurement is expected to give about the effects is in nats. It is the mutual
-information of what is not measured yet and the set of effects (Lindley 1956): the entropy of the sets'
-probabilities, less its mean after the measurement, over measurements drawn from the hypotheses
-themselves.
+The information that a measurement is expected to give about the effects is the mutual information, in
+nats, of the measurement and the missing effects (Lindley 1956). It is the entropy of the effects'
+probabilities minus the mean entropy after the measurement, over random measurements.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ class Plan(Result):
     parameters: tuple[str, ...]
     """Names of the parameters that the case has."""
     change: float
-    """Relative change of T that was asked for. Each effect has the size whose change of T is nearest to
+    """Relative change of T that was required. Each effect has the size whose change of T is nearest to
     it."""
     reached: Mapping[str, float]
     """Relative change of T by each effect at this size."""

@@ -1,37 +1,39 @@
-"""The problem of a search by means, the evidence of every hypothesis and set of them, the threshold.
+"""Likelihood of every effect and of combinations of effects, and the threshold for a detection.
 
-A hypothesis is an effect with a set of its parameters, in each configuration of the room. The evidence
-of an effect is how well it explains the measurement, in closed form.
+A hypothesis is an effect with one set of parameter values, in each configuration of the room. The
+compared values y (features) are ln T20, ln EDT/T20, ln T30/T20, C80 and G by configuration and band.
+The marginal likelihood of an effect k is, over its sets of parameter values theta with probability p,
 
-    log E_k = log of the sum over theta of p(theta) N(y; y_k(theta) + bias, C)
-    C = J Sigma J' + R + D + M + B
+    log E_k = log sum p(theta) N(y; y_k(theta) + bias, C)
+    C = J Sigma J' + R + D + M + B.
 
-y are the features, J Sigma J' their covariance from the prior on alpha and R from the measurement.
-Bias and D are the model's error as reference rooms showed it. M is the error of the effect's change, in
-proportion to it (after Kennedy & O'Hagan 2001): `_misfit`. B is the change of the decay's
-shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with covariance C
-(`rtcal.finder.evidence.student`). Each hypothesis is evaluated twice: with the coefficients as stated,
-where C has the usual error F F' that they have in common, and off together, with s² F F' for each
-scale s (`rtcal.finder.evidence`).
+J Sigma J' is the covariance from the input uncertainty of alpha, and R that of the measurement. Bias
+and D are mean and covariance of the equation's error in reference rooms. M is the error of the effect's
+equation, in proportion to the change by the effect (after Kennedy & O'Hagan 2001): `_misfit`. B is the
+change of the decay's shape by the effect's position (`SHAPE_CHANGE`). N is Student's t with covariance
+C (`rtcal.finder.evidence.student`). Each hypothesis is evaluated twice: with the input coefficients,
+where C has the usual error F F' that all coefficients have in common, and with a larger common error s²
+F F' for several factors s (`rtcal.finder.evidence`).
 
-The threshold is the evidence that rooms without a missing effect give by chance, by a parametric
-bootstrap: each draw takes alpha from the prior, the model's error from the reference rooms, and noise
-from the measurement. One half of the reference rooms gives bias and covariance, and the draws use the
-other; the few of the image sources are not divided. T20 of the first configuration and all data have a
-threshold each (`steps`), since one scale of all data dilutes what T20 shows: 5 % of these rooms exceed
-either (the smallest p-value, Westfall & Young 1993).
+The threshold is the score that rooms with nothing missing reach by chance (parametric bootstrap). Each
+such room has random coefficients, the error of the equation in a reference room, and noise of the
+measurement. One half of the reference rooms gives bias and D, and the rooms are drawn from the other
+half; the few rooms of image sources are not divided. T20 of the first configuration and all data have a
+threshold each (`steps`), because a single score of all data would dilute what T20 shows. 5 % of the
+rooms exceed one of the two (smallest p-value, Westfall & Young 1993).
 
-A set of effects, several in the model at once, has rows of `MeansHypotheses`, each of another effect.
-There are some 200,000 pairs, so all are screened with the changes that the effects cause alone, and the
-best of each two effects are evaluated with both in the state. With C = L L' the covariance under
-"none", M = U U' the misfit of an effect's change and W = L⁻¹ U, a pair costs one system of a few rows
-(Woodbury) in place of a factorisation. The likelihood of sets has its full power, where the search for
-one effect coarsens it (`rtcal.finder.evidence.COARSENING`): that guards against what else the model
-lacks, which a set has in it.
+A combination of effects is a set of hypotheses of different effects. There are some 200,000 pairs, so
+all are first evaluated approximately, from the changes that each effect causes alone (`Screen`). The
+best parameter values of each two effects are then evaluated with both in the model. With C = L L' the
+covariance without effects, M = U U' and W = L⁻¹ U, a pair costs one system of a few rows (Woodbury)
+instead of a factorisation. The likelihood of combinations has its full power, whereas the search for a
+single effect reduces the power (`rtcal.finder.evidence.COARSENING`) as a reserve for other effects that
+may be missing.
 
-The number of effects is Poisson, cut at a largest number. Given the number, a set has the product of
-its effects' odds. Coefficients that are off together stand beside any set, with their own prior.
-docs/discrepancy_method.md has what these choices rest on.
+The number of missing effects has a Poisson distribution up to a largest number. Given the number, the
+probability of a combination is proportional to the product of its effects' odds. The common error of
+all coefficients is possible with any combination, with a probability of its own.
+docs/discrepancy_method.md has the reasons.
 """
 
 from __future__ import annotations
@@ -99,13 +101,14 @@ from rtcal.support.types import Array, read_only
 
 Indices = slice | NDArray[np.intp]
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
-"""Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
-somewhere, so that the field is less even than its formula assumes. Chosen on development rooms
+"""Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber is at one
+place, so that the field is less even than its equation assumes. Chosen on simulated rooms
 (docs/discrepancy.md)."""
 LARGEST_FEATURES = 1000
 """Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
 LARGEST_HYPOTHESES = 5000
-"""Sets of parameters: 12 per material and some 450 more, so that 370 materials can be stated."""
+"""Largest number of hypotheses: 12 per material and some 450 more, so that 370 materials are
+possible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,18 +249,18 @@ class MeansHypotheses(_PredictedFeatures):
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
-    """The effects, the first hypothesis being "none", with their parameters, (n,)."""
+    """Effect and parameter values of each hypothesis, (n,); the first is "none", without an effect."""
     possible: NDArray[np.bool_]
     """Whether T, C80 and G are finite, (n,). A room whose sound ends within 80 ms has no C80, and the
-    data exclude it: its weight is 0, and its predictions are those of "none"."""
+    measurement excludes it: its weight is 0, and its predictions are those of "none"."""
     spectrum_errors: Array
     """Relative errors of the effect's change over bands, one standard deviation each, (n, n_bands,
     n_errors)."""
     formula_errors: Array
     """Standard deviation of the relative error of the change of each feature by itself, (n,)."""
     applied: Array
-    """Covariance over all features, raveled, from the uncertainty of the effects that the model has
-    already, of stated changes of materials, and of distances that are not stated, (size, size)."""
+    """Covariance of all values, (size, size), from the uncertainty of the effects that are in the model
+    already, of materials that configurations change, and of unknown distances."""
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
     @cached_property
@@ -652,7 +655,7 @@ def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
 
 
 USUAL_DISTANCE = 0.66
-"""Source-receiver distance over the cube root of the volume, where it is not stated: the mean distance
+"""Source-receiver distance over the cube root of the volume, if no distance is given: the mean distance
 between two points of a cube (Robbins 1978)."""
 DISTANCE_ERROR = 0.35
 """Standard deviation of its logarithm: that of the distance between two points of a cube is 0.45 of one
@@ -1547,7 +1550,8 @@ _PAIRS_OF_THREE = 3  # pairs that a third effect is added to
 _LIKELY = 100  # hypotheses with their parameters that a plan goes on from
 _KEPT_THIRD = 8  # parameters of the third effect that are evaluated
 DISTINCT = 0.1
-"""Odds against the best set from which two effects no longer stand for one another."""
+"""Odds against the best combination of effects from which two effects can no longer replace each
+other."""
 
 
 @dataclass(frozen=True, eq=False)

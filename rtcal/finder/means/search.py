@@ -1,8 +1,10 @@
-"""Find what a model lacks: compare the evidence of every effect, decide, estimate the effect's size.
+"""Find what is missing from a model by means over positions.
 
-A claim is checked by the gap where alpha cannot close it. Plain calibration meets T20 of the first
-configuration whatever the model lacks. What is left of the other features is what alpha cannot absorb.
-The linear model of the evidence gives it without a QP; `rtcal.finder.verify` gives it with one.
+The marginal likelihoods of all effects are compared, an effect is identified or not, and its size is
+estimated. The most probable effect is then checked by the parameters that coefficients cannot fit.
+Calibrated coefficients fit T20 of the first configuration whatever is missing; the deviations of C80,
+G, EDT and of other configurations remain, and must become smaller with the effect. Here they are
+calculated by a linear model; `rtcal.finder.verify` calculates them by calibrating.
 """
 
 from __future__ import annotations
@@ -264,12 +266,13 @@ def _conclude(
 
 
 LIKELY = 0.5
-"""Probability from which coefficients that are off together are said beside an effect."""
+"""Probability from which an error that all coefficients have in common is reported in addition to an
+effect."""
 TWO = 0.98
-"""Probability of two or more effects from which more than one family is claimed. An absorber hides the
-wall behind it and makes the field less even, and a formula knows neither. So one effect of the room
-leaves what a second one explains. Chosen on development rooms of the first hidden
-world (benchmarks/studies/means)."""
+"""Probability of two or more effects from which more than one group is identified. An absorber hides
+the wall behind it and makes the field less even, which no equation contains; a single effect therefore
+leaves deviations that a second one seems to explain. Chosen on simulated rooms
+(benchmarks/studies/means)."""
 
 
 def _of_single(
@@ -413,7 +416,8 @@ def _with_candidate(problem: MeansProblem, candidate: Candidate) -> tuple[MeansP
 
 
 AT_END = 2.0
-"""Evidence in nats below that of the best size from which the last size that is tried is no end."""
+"""ln Bayes factor of the best size over the last size that is tried, below which the size has no limit
+there."""
 
 
 def _estimate_size(
@@ -565,12 +569,12 @@ def _scale(candidate: Candidate) -> float:
 
 
 GROSS = np.log(1.8)
-"""Change of ln T beyond which a mistake in what is stated is the first suspicion. A box that is entered
-twice as large has twice the T, or a little less with air."""
+"""Change of ln T beyond which wrong input is suspected first. A box that is entered twice as large has
+twice the T, or a little less with air."""
 MISTAKE_SIGMA = 1.5
-"""Standard deviation of ln T by a mistake in what is stated: factors of 2 to 20 are usual."""
+"""Standard deviation of ln T from wrong input: factors of 2 to 20 are usual."""
 SHOWN = 4.6
-"""Evidence in nats, odds of 100 to one, from which features other than T show an effect."""
+"""ln Bayes factor (odds of 100 to one) from which parameters other than T show an effect."""
 SURPRISING = 1e-3
 """Probability of the residuals below which the best effect does not explain them."""
 
@@ -645,9 +649,9 @@ def _gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
 
 
 LITTLE = 0.1
-"""Change of the mean gap in JND that is little, whatever its uncertainty."""
+"""Change of the mean deviation in JND that counts as little, whatever its uncertainty."""
 CONTRADICTED = -3.0
-"""Evidence in nats under which the features that alpha cannot fit contradict the effect."""
+"""ln Bayes factor below which the parameters that coefficients cannot fit contradict the effect."""
 _DRAWS = 64
 
 
