@@ -1,4 +1,4 @@
-"""The quadratic programme (QP): compiled once by cvxpy, solved by Clarabel or OSQP, refined and checked.
+"""The quadratic programme (QP): compiled once by cvxpy, solved by Clarabel or OSQP, and checked.
 
     minimise ½ v'Pv + c'v  subject to  A v = b,  A v <= b (the last rows),  lower <= v <= upper
 
