@@ -254,10 +254,12 @@ def test_questions_in_the_terminal(
 
 
 def test_questions_that_end_early_write_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("9,7,3\ncarpet\n"))
-    assert run("room", "--ask", "--out", tmp_path / "room.toml") == 130
+    assert run("room", "--ask", "--out", tmp_path / "room.toml") == 2
+    said = capsys.readouterr().err
+    assert '"Material of the ceiling" was answered; still missing: --ceiling, --walls' in said
     assert not [*tmp_path.iterdir()]
 
 

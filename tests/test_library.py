@@ -60,7 +60,7 @@ def test_names_of_the_trade_find_something_sensible() -> None:
     for name, word in (
         ("vinyl floor", "linoleum"),
         ("perforated metal panel", "metal"),
-        ("Parkett", "wood"),
+        ("Parkett", "parquet"),
         ("window", "glass"),
         ("gypsum board", "plasterboard"),
         ("carpet_on_floor", "carpet"),

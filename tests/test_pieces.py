@@ -405,6 +405,12 @@ def test_the_catalogue_is_listed_with_its_sources(capsys: pytest.CaptureFixture[
     assert "linoleum_on_concrete" in said
     assert "carpet_thin" not in said
     assert all(page in " ".join(said.split()) for page in catalogue.pages(["wooden chair"]))
+    assert run("materials", "steel", "church pews") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert 'steel: the catalogue has no material like "steel". The nearest names are' in said
+    assert "church pews: 0.05" in said
+    assert run("materials", "heavy", "xyzzy") == 2
+    assert "A name of several words stands in quotes" in " ".join(capsys.readouterr().err.split())
     assert run("materials", "xyzzy") == 2
     assert 'no material like "xyzzy"' in capsys.readouterr().err
 

@@ -25,7 +25,7 @@ from rtcal.command.import_room import (
 )
 from rtcal.files.disk import spare
 from rtcal.io import units
-from rtcal.io.text import numbers, shown
+from rtcal.io.text import numbers
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 
@@ -98,7 +98,7 @@ def room(
 ) -> None:
     """Make a room from the sides of a box and the names of its materials.
 
-    Names are looked up in the catalogue (after Vorländer 2008). The entries that were taken are
+    Names are looked up in the catalogue (Vorländer 2008, and others). The entries that were taken are
     printed, and T by the equation. With --t20 or --t30 the room is also calibrated, as by `rtcal
     calibrate`; --out writes the room before calibration.
 
@@ -334,10 +334,10 @@ class _Materials:
 @click.command(short_help="The catalogue of materials and pieces, with their sources.")
 @console.takes(click.argument("names", nargs=-1, metavar="[NAME]..."), writes=False)
 def materials(names: tuple[str, ...]) -> None:
-    """List the catalogue's materials and pieces, or those that resemble each NAME, the best first.
+    """List the catalogue's materials and pieces, or those that each NAME means, and similar ones.
 
-    `rtcal room` takes the first one for a NAME. Pieces are persons, seats and furniture (m² of
-    absorption each).
+    `rtcal room` takes the first one for a NAME. Several words are one name in quotes. Pieces are
+    persons, seats and furniture (m² of absorption each).
 
     Example: rtcal materials carpet "wooden chair"
     """
@@ -349,38 +349,49 @@ def materials(names: tuple[str, ...]) -> None:
     of_octaves = [*octaves(125, 4000)]
     entries = {m.name: m for m in catalogue.material_list().materials}
     described = catalogue.pieces()
-    chosen, free = list(entries), list(described)
-    if names:
-        chosen = [entry for name in names for entry in catalogue.similar(name)]
-        free = [piece for name in names for piece in catalogue.similar(name, among=described)]
-    if not (chosen or free):
-        raise DataError(
-            f'the catalogue has no material like "{shown(" ".join(names))}". `rtcal '
-            "materials` lists all entries"
-        )
-    listed = [entries[name] for name in dict.fromkeys(chosen)]
-    pieces = [catalogue.piece(name, 1, of_octaves) for name in dict.fromkeys(free)]
     origin = catalogue.origin()
     lines = [
-        f"{origin}: alpha in {span(of_octaves)}; `rtcal room` takes 30 % of alpha as sigma, at least "
-        f"0.01; {catalogue.OPENING} is exact"
+        f"{origin}, and other works: alpha in {span(of_octaves)}; `rtcal room` takes 30 % of alpha as "
+        f"sigma, at least 0.01; {catalogue.OPENING} is exact"
     ]
-    for each in listed:
-        by_band = dict(zip(each.centre_frequencies, each.alpha, strict=True))
-        values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in of_octaves)
-        lines += [f"{''.join(values)}  {each.name}", f"  {each.source.removeprefix(f'{origin}: ')}"]
-    lines += [_OF_PIECES] if pieces else []
-    for piece in pieces:
-        rows: Any = ((piece.area_per_piece, piece.name), (piece.sigma, "sigma"))
-        for row, text in rows:
-            lines.append(f"{''.join(f'{value:5.2f}' for value in np.ravel(row))}  {text}")
-        lines.append(f"  {piece.source}")
-    pages = catalogue.pages([piece.name for piece in pieces])
+    meant, unknown = dict[str, list[str]](), dict[str, str]()
+    for name in dict.fromkeys(names):
+        meant[name] = []
+        for among in (described, None):
+            try:
+                meant[name][:0] = catalogue.found(name, among)
+            except DataError as error:
+                unknown[name] = str(error)
+    if names and not any(meant.values()):
+        quote = ". A name of several words stands in quotes" if len(meant) > 1 else ""
+        raise DataError(
+            f"{'; '.join(unknown.values())}{quote}. `rtcal materials` lists all entries"
+        )
+    listed: dict[str, ListedMaterial] = {}
+    pieces: dict[str, Piece] = {}
+    for name, found in (meant or {"": [*entries, *described]}).items():
+        lines += [f"{name}:" if found else f"{name}: {unknown[name]}"] if len(meant) > 1 else []
+        for entry in (each for each in found if each in entries):
+            listed[entry] = entries[entry]
+            by_band = dict(zip(listed[entry].centre_frequencies, listed[entry].alpha, strict=True))
+            values = (f"{by_band[f]:5.2f}" if f in by_band else "    -" for f in of_octaves)
+            lines.append(f"{''.join(values)}  {entry}")
+            lines.append(f"  {listed[entry].source.removeprefix(f'{origin}: ')}")
+        free = [catalogue.piece(each, 1, of_octaves) for each in found if each in described]
+        lines += [_OF_PIECES] if free else []
+        for piece in free:
+            pieces[piece.name] = piece
+            rows: Any = ((piece.area_per_piece, piece.name), (piece.sigma, "sigma"))
+            for row, text in rows:
+                lines.append(f"{''.join(f'{value:5.2f}' for value in np.ravel(row))}  {text}")
+            lines.append(f"  {piece.source}")
+    pages = catalogue.pages([*listed, *pieces])
     lines += [_COPIES, *(f"  {page}" for page in pages)] if pages else []
     keys = ("name", "centre_frequencies", "alpha", "source")
     record = {
-        "materials": [{key: getattr(each, key) for key in keys} for each in listed],
-        "pieces": [*map(asdict, pieces)],
+        "names": meant,
+        "materials": [{key: getattr(each, key) for key in keys} for each in listed.values()],
+        "pieces": [*map(asdict, pieces.values())],
         "pages": pages,
     }
     console.tell("\n".join(lines), record)
@@ -422,14 +433,25 @@ def _ask(
     from rtcal.acoustics.room import refuse_too_many, with_patches
     from rtcal.simulators.geometry import Polyhedron
 
-    def answer(question: str, check: Callable[[str], Any], default: str | None = None) -> Any:
+    def answer(
+        option: str, question: str, check: Callable[[str], Any], default: str | None = None
+    ) -> Any:
         def checked(text: str) -> Any:
             try:
                 return check(text)
             except DataError as error:
                 raise click.UsageError(str(error)) from error
 
-        return click.prompt(question, default, value_proc=checked, err=True)
+        try:
+            return click.prompt(question, default, value_proc=checked, err=True)
+        except click.Abort as error:
+            if not isinstance(error.__context__, EOFError):
+                raise
+            needed = [n for n, _, _, usual in left() if usual is None]
+            options = ", ".join(f"--{each}" for each in needed or [option])
+            raise DataError(
+                f'the input ended before "{question}" was answered; still missing: {options}'
+            ) from error
 
     def material(place: str, text: str) -> str:
         known = len(materials.notes)
@@ -479,21 +501,25 @@ def _ask(
         ("humidity", "Relative humidity / %", partial(climate, "humidity"), "50"),
         ("out", "File to write", lambda text: text, "room.toml"),
     )
+
+    def left() -> list[tuple[str, str, Callable[[str], Any], str | None]]:
+        unneeded = {"walls"} if four_walls else set()
+        return [each for each in questions if stated[each[0]] is None and each[0] not in unneeded]
+
     for name, _, check, _ in questions:
         if stated[name] is not None:  # before the first question, whose answer would be lost
             check(str(stated[name]))
-    for name, question, check, default in questions:
-        if stated[name] is None and not (name == "walls" and four_walls):
-            stated[name] = answer(question, check, default)
+    for name, question, check, default in left():
+        stated[name] = answer(name, question, check, default)
     while not stated["pieces"] or stated["pieces"][-1]:
-        added = answer(f"A window, a door ({_PIECE}), or nothing", piece, "")
+        added = answer("piece", f"A window, a door ({_PIECE}), or nothing", piece, "")
         stated["pieces"] = (*stated["pieces"], added)
     stated["pieces"] = stated["pieces"][:-1]
     while not stated["objects"] or stated["objects"][-1]:
         question = f"Persons, seats, desks ({_OBJECT}: person seated=20), or nothing"
-        stated["objects"] = (*stated["objects"], answer(question, counted, ""))
+        stated["objects"] = (*stated["objects"], answer("object", question, counted, ""))
     stated["objects"] = stated["objects"][:-1]
     if not times:
         question = f"Measured T20 / s in {span(materials.bands)}, to calibrate, or nothing"
-        if text := answer(question, measured_time, ""):
+        if text := answer("t20", question, measured_time, ""):
             times["t20"] = text

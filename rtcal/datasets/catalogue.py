@@ -1,8 +1,8 @@
-"""A catalogue of materials: pyroomacoustics' table, read from the installed package.
+"""A catalogue of materials: pyroomacoustics' table, read from the installed package, and others.
 
-Its values (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT licence of
-pyroomacoustics. They are handbook values, which need a realistic sigma. ``material_names.toml`` has
-what people call them, and how their specimens are mounted.
+The values of the table (after M. Vorländer, Auralization, 2008, Appendix) are under the MIT licence of
+pyroomacoustics; ``materials.toml`` has what it lacks. They are handbook values, which need a realistic
+sigma. ``material_names.toml`` has what people call them, and how their specimens are mounted.
 
 Persons, seats and furniture are in ``pieces.toml``, with the source of each value (`piece`).
 """
@@ -24,6 +24,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.priors import SigmaRule, sigma_iso_12999_2
 from rtcal.acoustics.room import Material, Piece
+from rtcal.datasets import lookup
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -37,23 +38,10 @@ _TABLE = "pyroomacoustics"
 _RENAMED = {"gypsum_board": "gypsum_board_perforated"}
 """Entries whose name hides what they are. 19.6 % of this board are holes, and alpha is 1.00 at 500 Hz;
 a plain board is ``plasterboard``."""
-_PLACES = {"floor", "wall", "walls", "ceiling", "roof", "panel", "board"}
-"""Words that say where a material is, and of which form, rather than which it is."""
-_GERMAN = ("boden", "decke", "wand", "wände", "fenster", "tür", "türen", "vorhang")
-"""Ends of German compounds, whose first part is the material."""
-_COLOURS = {
-    *("blue", "red", "white", "black", "green", "yellow", "grey", "gray", "brown", "blau", "rot"),
-    *("weiß", "weiss", "weiße", "weisse", "schwarz", "grün", "gelb", "grau", "braun"),
-}
-"""Words without meaning for sound."""
-_FINISHES = {"painted", "smooth", "rough", "open", "thin", "thick", "soft", "hard", "perforated"}
-"""Words of a finish or a form, which state no material alone."""
 _OTHERS = 3
 """Largest number of other entries that are named beside the one that was taken."""
-_PEOPLE = {"audience", "chairs", "orchestra"}
 _OF_THE_THING = 2.0
 """Weight of the word that names the thing, over that of others."""
-_OF_A_PLACE = 0.4
 _LEAST_LIKENESS = 0.76
 """Share of the letters that two words have in common: 0.93 for "curtains" and "curtain", 0.75 for
 "sofa" and "soft"."""
@@ -77,7 +65,12 @@ def names() -> dict[str, str]:
         for group in groups
         for name, entry in group.items()
     }
-    return {**table, OPENING: "Open window, door or hole: sound that leaves does not return"}
+    more = {n: each[0] for rows in _published().values() for n, each in rows.items()}
+    return {
+        **table,
+        **more,
+        OPENING: "Open window, door or hole: sound that leaves does not return",
+    }
 
 
 OPENING = "open_window"
@@ -157,9 +150,10 @@ _FROM = {
 
 
 def pages(names: Collection[str]) -> list[str]:
-    """Return a line for each source of the pieces ``names``: the work, and a page with its table."""
+    """Return a line for each source of these entries: the work, and a page with a copy of its table."""
     rows = (row for each in _tabulated()["piece"] if each["name"] in names for row in each["row"])
     used = {row["source"] for row in rows}
+    used |= {source for source, rows in _published().items() if {*rows} & {*names}}
     return [
         f"{each['work']}: {each['page']}, read on {each['read']}"
         for key, each in _tabulated()["source"].items()
@@ -242,6 +236,13 @@ def _areas() -> dict[str, tuple[Array, Array]]:
 
 
 @cache
+def _published() -> dict[str, dict[str, list[Any]]]:
+    """Return the materials of ``materials.toml`` by the source that ``pieces.toml`` has."""
+    text = resources.files("rtcal.datasets").joinpath("materials.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
+@cache
 def _tabulated() -> dict[str, Any]:
     """Return the sources and the pieces of ``pieces.toml``."""
     text = resources.files("rtcal.datasets").joinpath("pieces.toml").read_text("utf-8")
@@ -276,7 +277,19 @@ def material_list() -> MaterialList:
         source=f"{descriptions[OPENING]} ({_OF_OPENING}); mounting: {mounted[OPENING]}",
         sigma=0.0,
     )
-    return replace(listed, path="the catalogue", materials=(*of_table, opening))
+    more = [
+        ListedMaterial(
+            name=name,
+            line=0,
+            alpha=tuple(alpha),
+            centre_frequencies=_OCTAVES[: len(alpha)],
+            spans=(),
+            source=f"{_tabulated()['source'][source]['work']}: {said}; mounting: {mounted[name]}",
+        )
+        for source, rows in _published().items()
+        for name, (said, *alpha) in rows.items()
+    ]
+    return replace(listed, path="the catalogue", materials=(*of_table, *more, opening))
 
 
 def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
@@ -295,50 +308,41 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
     own = next((n for n in described if _plainly(n) == _plainly(name)), None)
     if own is not None:
         return [own]
-    near = similar(name, 1 + _OTHERS, among)
-    words = _words(name)
-    bare = near and words & _FINISHES and words - _PLACES <= _FINISHES
-    called = among is None and words in _called("names")
-    bare = bare and not called
-    # Steel alone is no metal ceiling with holes, although these share the word.
-    unlike = bool(near) and not called and _has_none(words - _PLACES)
-    if near and not (bare or unlike):
-        return near
+    meant = _meaning(name, described)
+    if meant.entry is not None:
+        return [*dict.fromkeys((meant.entry, *meant.nearest, *similar(name, 1 + _OTHERS, among)))][
+            : 1 + _OTHERS
+        ]
     kind, option, other = "material", "its other names are pieces (`rtcal room --object`)", pieces()
     if among is not None:
         kind, option, other = "piece", "its other names are materials of surfaces", names()
     said = f'the catalogue has no {kind} like "{shortened(name, 60)}"'
+    bare = not lookup.words(name)
     said += ": a finish or a form does not state what has it" if bare else ""
-    meant = _in_meaning(name)
-    near = [] if unlike else near
-    near = near or [n for n in meant if n in described] or _in_letters(name, described)
+    near = [n for n in meant.nearest if n in described][:_OTHERS]
+    near = near or similar(name, _OTHERS, among) or _in_letters(name, described)
     said += f". The nearest names are {', '.join(near)}" if near else ""
-    if beyond := [n for n in meant if n in other]:
-        said += f"; {option}: {', '.join(beyond)}"
+    elsewhere = _meaning(name, other)
+    beyond = [n for n in (elsewhere.entry, *meant.nearest) if n in other]
+    if beyond:
+        said += f"; {option}: {', '.join(dict.fromkeys(beyond))}"
     raise DataError(said)
+
+
+def _meaning(name: str, described: Mapping[str, str]) -> lookup.Meaning:
+    """Return what a name means of the materials, or of the pieces."""
+    part = "pieces" if described.keys() == pieces().keys() else "names"
+    return lookup.meaning(name, part, described)
 
 
 def _plainly(name: str) -> str:
     return re.sub(r"[\W_]+", " ", name.lower()).strip()
 
 
-def _in_meaning(name: str) -> list[str]:
-    """Return the entries that ``material_names.toml`` has beside things of which there is no entry."""
-    stated, asked = _stated()["near"].items(), {*_in_order(name)}
-    return [
-        n.strip() for things, near in stated if asked & {*things.split()} for n in near.split(",")
-    ]
-
-
-def _has_none(words: frozenset[str]) -> bool:
-    """Return whether all words are of one thing of which ``material_names.toml`` states no entry."""
-    return bool(words) and any(words <= {*things.split()} for things in _stated()["near"])
-
-
 def _in_letters(name: str, described: Mapping[str, str]) -> list[str]:
     """Return entries whose names have most letters of a name in common."""
     plain = {_plainly(n): n for n in described}
-    return [plain[n] for n in difflib.get_close_matches(_plainly(name), plain, _OTHERS, 0.5)]
+    return [plain[n] for n in difflib.get_close_matches(_plainly(name), plain, _OTHERS, 0.7)]
 
 
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
@@ -355,12 +359,10 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
     (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
-    described, called = (names(), _called("names")) if among is None else (among, {})
-    if among is not None and among.keys() == pieces().keys():
-        called = _called("pieces")
-    asked = _words(name)
-    (*_, thing) = "", *_in_order(name)  # the last word: a stage curtain is a curtain
-    of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
+    described = names() if among is None else among
+    meant = None if among is not None and among != pieces() else _meaning(name, described).entry
+    asked, noun = lookup.words(name), lookup.name_of(name).noun
+    of_entry = {n: (lookup.words(n), lookup.words(text)) for n, text in described.items()}
     scores = dict.fromkeys(described, 0.0)
     for word in asked:
         close = {
@@ -369,15 +371,13 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
         }
         having = sum(share > 0 for share in close.values())
         weight = np.log((len(described) + 1) / (having + 1)) if having else 0.0
-        weight *= _OF_A_PLACE if word in _PLACES else _OF_THE_THING if word == thing else 1.0
+        weight *= _OF_THE_THING if word == noun else 1.0
         for entry, share in close.items():
             scores[entry] += weight * share
     for entry, (own, _) in of_entry.items():
-        people = own & _PEOPLE and not any(_closest(word, _PEOPLE) for word in asked)
-        scores[entry] *= (_OF_A_PLACE if people else 1.0) / (1 + 0.02 * len(own))
-    # A pupil desk is a desk, but pupils at a desk are pupils.
-    if asked in called and not re.search(r"\bat\b", name.lower()):
-        scores[called[asked]] = np.inf
+        scores[entry] /= 1 + 0.02 * len(own)
+    if meant is not None:
+        scores[meant] = np.inf
     best = sorted((n for n, score in scores.items() if score), key=lambda n: (-scores[n], n))
     return best[:most]
 
@@ -400,53 +400,10 @@ def nearest(name: str, most: int = 3) -> list[str]:
 
 
 @cache
-def _stated() -> dict[str, dict[str, str]]:
-    text = resources.files("rtcal.datasets").joinpath("material_names.toml").read_text("utf-8")
-    return tomllib.loads(text)
-
-
-@cache
-def _called(table: str) -> dict[frozenset[str], str]:
-    """Return the entry that people mean by the words of a name, of a table of the file."""
-    stated = _stated()[table].items()
-    return {_words(name): entry for entry, each in stated for name in each.split(",")}
-
-
-@cache
 def _mounting() -> dict[str, str]:
     """Return how the specimen of each entry is mounted."""
-    stated = _stated()["mounting"].items()
+    stated = lookup.table()["mounting"].items()
     return {entry: mounting for mounting, entries in stated for entry in entries.split()}
-
-
-@cache
-def _catalogue_words() -> dict[str, str]:
-    """Return the catalogue's word for each other one."""
-    stated = _stated()["words"].items()
-    return {other: word for word, others in stated for other in others.split()}
-
-
-def _in_order(text: str) -> list[str]:
-    """Return the words of a name in their order, each as the catalogue has it."""
-    known = _catalogue_words()
-    words = re.findall(r"[^\W\d_]{3,}", text.lower())
-    apart = [part for word in words for part in ([word] if word in known else _parts(word))]
-    return [known.get(word, word) for word in apart if word not in _COLOURS]
-
-
-def _parts(word: str) -> list[str]:
-    """Return the two parts of a German compound that ends in a place, such as Holzboden; else the word.
-
-    >>> _parts("holzboden"), _parts("betondecke"), _parts("steel")
-    (['holz', 'boden'], ['beton', 'decke'], ['steel'])
-    """
-    end = next((e for e in _GERMAN if word.endswith(e) and len(word) > len(e) + 2), None)
-    return [word] if end is None else [word.removesuffix(end), end]
-
-
-def _words(text: str) -> frozenset[str]:
-    """Return the words of a name, each as the catalogue has it."""
-    return frozenset(_in_order(text))
 
 
 def _closest(word: str, others: Collection[str]) -> float:

@@ -833,7 +833,7 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
             area,
             surface=area,
             uncertainty=area**1.5 / 4,
-            unsure=[(lid.material, ANY_SHARE * lid.area) for lid in closing],  # or of another
+            unsure=_any_share(closing),
         )
         rim = mend.points[loop]
         if len(closing) == 1 and best_plane(rim)[1] > max(mend.weld, PLANARITY):
@@ -1032,11 +1032,22 @@ def _left_open(shell: FaceSet) -> list[Defect]:
         area = sum(lid.area for lid in lids)
         beside = " and ".join(dict.fromkeys(lid.material for lid in lids))
         at = (f"at {shell.mend.place(loop[0])}, {beside}",)
-        u = combined((lid.material, float(ANY_SHARE * lid.area)) for lid in lids)
+        u = dict(_any_share(lids))
         found.append(
             Defect("open hole", 1, area, 0.0, 0.0, 0.0, at, "left as drawn and not in S", u)
         )
     return [reduce(add, found)] if found else []
+
+
+def _any_share(lids: Iterable[_Lid]) -> list[tuple[str, float]]:
+    """Return the standard uncertainty in m² of the materials of a hole's lids: any share may be theirs.
+
+    The share is one for the hole, so that lids of one material add up.
+    """
+    areas: dict[str, float] = {}
+    for lid in lids:
+        areas[lid.material] = areas.get(lid.material, 0.0) + lid.area
+    return [(material, float(ANY_SHARE * area)) for material, area in areas.items()]
 
 
 def _beside(part: FaceSet, missing: Mapping[Edge, int], edges: Iterable[Edge]) -> str:

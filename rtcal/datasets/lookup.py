@@ -1,0 +1,338 @@
+"""What a name means that people use for a material: the thing, what it is mounted on, and its entry.
+
+The words of a name are brought to those of ``material_names.toml``: endings, compounds, misspelt words
+and other languages are understood. The name is then taken apart. "Plaster on brick" is plaster, and
+brick is what it is mounted on; "concrete block, painted" is a block. An entry is meant only if its
+names account for every word that decides how sound is absorbed. Of several, the one is meant whose
+names have most of the words: a painted concrete block is no painted concrete.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+import unicodedata
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import resources
+from typing import Any
+
+__all__ = ["Meaning", "Name", "meaning", "name_of", "table", "words"]
+__dir__ = __all__.copy
+
+_LEAST_LIKENESS = 0.83
+"""Share of the letters that a misspelt word has in common with the right one: 0.86 for "curtian"."""
+_LEAST_LETTERS = 5
+"""Shorter words are not taken for misspelt ones: "sand" is no "band"."""
+_LEAST_PART = 3
+"""Letters of a part of a compound, such as "tür"."""
+_LEAST_END = 4
+"""Letters of the known end of a compound, of which the first part is not known: Lehmputz is plaster."""
+_LINKS = ("", "s", "n", "en", "es", "er")
+"""Letters between the parts of a German compound."""
+_ENDINGS = ("s", "es", "e", "n", "en", "er", "em", "ed")
+_THICKNESSES = (25.0, 50.0, 75.0, 100.0)
+"""mm: thicknesses in which porous absorbers are tabulated."""
+_SAME_THICKNESS = 1.25
+_MM = {
+    "mm": 1.0,
+    "cm": 10.0,
+    '"': 25.4,
+    "″": 25.4,
+    "”": 25.4,
+    "in": 25.4,
+    "inch": 25.4,
+    "inches": 25.4,
+    "''": 25.4,
+}
+_OF_POROUS = {"minwool", "glasswool", "rockwool", "fibreglass", "foam", "woodwool", "insulation"}
+_MANY = re.compile(r"(\d+(?:[.,]\d+)?|\d+/\d+)\s*-?\s*(mm|cm|inches|inch|in\b|\"|″|”|'')")
+
+
+_CAMEL = re.compile(r"(?<=[a-zß-ÿ])(?=[A-ZÀ-Þ])")
+"""Where a word begins within one, as in ConcreteBlock."""
+
+
+@dataclass(frozen=True)
+class Name:
+    """Hold the words of a name, as ``material_names.toml`` has them.
+
+    ``thing`` are those of the thing itself, ``mounting`` those of what it is mounted on or filled with,
+    and ``noun`` is the last word of the thing, "" if it is none that the file knows and that may come
+    last. ``foreign`` are words that the file does not know.
+    """
+
+    thing: frozenset[str]
+    mounting: frozenset[str] = frozenset()
+    noun: str = field(default="", compare=False)
+    foreign: frozenset[str] = field(default=frozenset(), compare=False)
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Hold the entry that a name means, None for none, and the entries that are nearest to it."""
+
+    entry: str | None
+    nearest: tuple[str, ...]
+
+
+@cache
+def table() -> dict[str, Any]:
+    """Return the whole ``material_names.toml``."""
+    text = resources.files("rtcal.datasets").joinpath("material_names.toml").read_text("utf-8")
+    return tomllib.loads(text)
+
+
+def _folded(text: str) -> str:
+    """Return a text in small letters without accents."""
+    apart = unicodedata.normalize("NFKD", text.lower().replace("ß", "ss"))
+    return "".join(letter for letter in apart if not unicodedata.combining(letter))
+
+
+@cache
+def _listed(name: str) -> frozenset[str]:
+    return frozenset(_folded(table()["lists"][name]).split())
+
+
+@cache
+def _synonyms() -> dict[str, str]:
+    """Return the file's word for each other one."""
+    file = table()
+    of = {**dict.fromkeys(file["words"]), **dict.fromkeys(file["noun_first"])}
+    return {_folded(word): word for word in of} | {
+        _folded(other): word
+        for part in ("noun_first", "words")
+        for word, others in file[part].items()
+        for other in others.split()
+    }
+
+
+@cache
+def _noun_first() -> frozenset[str]:
+    return frozenset(_folded(" ".join(table()["noun_first"].values())).split())
+
+
+@cache
+def _known() -> dict[str, str]:
+    """Return each word that the file has anywhere, as it stands in the file's names."""
+    file, same = table(), _synonyms()
+    texts = [
+        *(text for part in ("names", "pieces") for pair in file[part].items() for text in pair),
+        *file["near"],
+        *file["phrases"].values(),
+        *(_folded(file["lists"][each]) for each in ("passing", "deciding", "coverings")),
+    ]
+    words = (word for text in texts for word in re.findall(r"[^\W\d_]{2,}", _folded(text)))
+    return {**{word: same.get(word, word) for word in words}, **same}
+
+
+def _word(word: str) -> tuple[list[str], str]:
+    """Return the file's words for one word, and the part of it that the file does not know.
+
+    The words are those of the word itself, of the parts of a compound, or of what it is misspelt for.
+
+    >>> _word("holzboden"), _word("curtian"), _word("lehmputz")
+    ((['wood', 'floor'], ''), (['curtains'], ''), (['lehm', 'plaster'], 'lehm'))
+    """
+    known = _known()
+    apart = _apart(word) or _apart(re.sub("([aou])e", r"\1", word))
+    if apart is not None:
+        return apart, ""
+    like = [each for each in known if each[:2] == word[:2] and len(each) >= _LEAST_LETTERS]
+    near = difflib.get_close_matches(word, like, 1, _LEAST_LIKENESS)
+    if near and len(word) >= _LEAST_LETTERS:
+        return [known[near[0]]], ""
+    for at in range(_LEAST_PART, len(word) - _LEAST_END + 1):
+        if end := _apart(word[at:]):
+            return [word[:at], *end], word[:at]
+    return [word], word
+
+
+@cache
+def _apart(word: str) -> list[str] | None:
+    """Return the file's words for a word, or for the parts of a compound; None for another word."""
+    known = _known()
+    if word in known:
+        return [known[word]]
+    stems = (word.removesuffix(end) for end in _ENDINGS if word.endswith(end))
+    if stem := next((known[each] for each in stems if len(each) > 2 and each in known), None):
+        return [stem]
+    for at in range(len(word) - _LEAST_PART, _LEAST_PART - 1, -1):
+        for link in _LINKS:
+            first = word[:at].removesuffix(link)
+            whole = word[:at].endswith(link) and len(first) >= _LEAST_PART and first in known
+            if whole and (rest := _apart(word[at:])) is not None:
+                return [known[first], *rest]
+    return None
+
+
+def words(text: str) -> set[str]:
+    """Return all words of a text that say what it is, as the file has them."""
+    name = name_of(text)
+    return {word for word in name.thing | name.mounting if not _of_size(word)} - _listed("passing")
+
+
+@cache
+def name_of(text: str) -> Name:
+    """Return the words of a name, taken apart.
+
+    >>> name_of("Plaster on brick").thing, name_of("plaster on brick").mounting
+    (frozenset({'plaster'}), frozenset({'brick'}))
+    """
+    read = _Reader()
+    for token in re.findall(r"\d+mm|[^\W\d_]{2,}|[,;:()]", _plainly(text)):
+        read.token(token)
+    return read.name()
+
+
+def _plainly(text: str) -> str:
+    """Return a text in small letters, with thicknesses and what is said in several words as words."""
+    plain = _MANY.sub(_thickness, _folded(_CAMEL.sub(" ", text)))
+    plain = re.sub(r"[_\-/&+]", " ", plain)
+    for phrase, word in table()["phrases"].items():
+        plain = re.sub(rf"\b{_folded(phrase).replace(' ', '[ ]+')}s?\b", word, plain)
+    return plain
+
+
+class _Reader:
+    """Read a name word by word: a word is of the thing, of its mounting, or of what it is without."""
+
+    def __init__(self) -> None:
+        self.thing = list[str]()
+        self.mounting = list[str]()
+        self.foreign = set[str]()
+        self.noun = ""
+        self._where = self.thing
+        self._before = ""
+        self._of_noun, self._noun_first = True, False
+
+    def token(self, token: str) -> None:
+        """Read one word, thickness or mark."""
+        if token in ",;:()":
+            self._of_noun = self._of_noun and not self.thing
+            if token in "()" or self._where is not self.mounting:
+                self._where = self.thing
+        elif token in _listed("surface_after"):
+            self.mounting += self.thing
+            self.thing.clear()
+            self._where, self._of_noun = self.thing, True
+        elif token in _listed("without"):
+            self._where = []
+        elif self._noun_first and token == "in":  # Italian: of
+            return
+        elif token in _listed("before_mounting"):
+            self._before = token
+            if self.thing and self._where is self.thing:
+                self._where = self.mounting
+        elif _of_size(token):
+            self._where.append(token)
+        else:
+            self._word(token)
+
+    def _word(self, token: str) -> None:
+        words, foreign = _word(token)
+        covers = self._before in _listed("with") and {*words} & _listed("coverings")
+        moved = self._where is self.mounting and (covers or {*words} & _listed("deciding"))
+        (self.thing if moved else self._where).extend(words)
+        self.foreign |= {foreign} - {""}
+        self._noun_first = self._noun_first or token in _noun_first()
+        if self._where is self.thing and self._of_noun:
+            nouns = [word for word in words if word not in _listed("passing")]
+            self.noun = nouns[-1] if nouns else self.noun
+
+    def name(self) -> Name:
+        """Return the name that was read."""
+        noun = "" if self.noun in self.foreign and self._noun_first else self.noun
+        return Name(frozenset(self.thing), frozenset(self.mounting), noun, frozenset(self.foreign))
+
+
+def _of_size(word: str) -> bool:
+    return word[0].isdigit()
+
+
+def _thickness(found: re.Match[str]) -> str:
+    """Return a thickness as a word, such as 50mm, of those in which absorbers are tabulated."""
+    top, _, bottom = found[1].replace(",", ".").partition("/")
+    mm = float(top) / float(bottom or 1) * _MM[found[2]]
+    near = min(_THICKNESSES, key=lambda each: abs(each - mm))
+    same = mm > 0 and max(near / mm, mm / near) <= _SAME_THICKNESS
+    return f" {near if same else mm:.0f}mm "
+
+
+@cache
+def _called(part: str) -> dict[Name, str]:
+    """Return the entries of a table of the file by the names that people have for them."""
+    return {
+        name_of(each): entry for entry, names in table()[part].items() for each in names.split(",")
+    }
+
+
+def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
+    """Return what a name means of the entries ``described``.
+
+    ``text`` is the name, ``part`` the table of the file that has the names of these entries, and
+    ``described`` their names and descriptions.
+    """
+    asked = name_of(text)
+    passing = _listed("passing")
+    called = {name_of(entry): entry for entry in described} | _called(part)
+    left, rank = dict[str, int](), dict[str, tuple[int, ...]]()
+    for name, entry in called.items():
+        if entry not in described or not name.thing or not name.thing <= asked.thing:
+            continue
+        if not name.mounting <= asked.mounting | asked.thing:
+            continue
+        own = name.thing | name.mounting | _own(entry, described[entry])
+        unlike = _unaccounted(asked, name, own, weak=name.thing <= passing)
+        value = (
+            -len(unlike),
+            len((name.thing | name.mounting) - passing),
+            len(name.thing | name.mounting),
+            asked.noun in name.thing,
+            len(name.mounting & asked.mounting),
+            -len(name.mounting - asked.mounting),
+        )
+        if value > rank.get(entry, (-99,)):
+            rank[entry], left[entry] = value, len(unlike)
+    order = sorted(rank, key=lambda entry: rank[entry], reverse=True)
+    if order and not left[order[0]]:
+        return Meaning(order[0], tuple(order[1:]))
+    named = [entry for entry in order if rank[entry][3]]
+    return Meaning(None, (*dict.fromkeys((*named, *_near(asked.thing), *order)),))
+
+
+def _own(entry: str, description: str) -> frozenset[str]:
+    mounted = (how for how, of in table()["mounting"].items() if entry in of.split())
+    of = (*map(name_of, (entry, description, *mounted)),)
+    return frozenset().union(*(name.thing | name.mounting for name in of))
+
+
+def _unaccounted(asked: Name, name: Name, own: Collection[str], weak: bool) -> set[str]:
+    """Return words of a name that an entry, with its ``own`` words, does not account for.
+
+    ``name`` is one of the entry. Words that the file does not know may stand beside a known noun, but
+    not beside a place alone (``weak``).
+    """
+    of_size = {word for word in asked.thing | asked.mounting if _of_size(word)}
+    others = asked.thing - _listed("passing") - asked.foreign - of_size
+    if asked.noun in asked.foreign:
+        others |= {asked.noun}
+    if weak:
+        others |= asked.foreign & asked.thing
+    if asked.thing & _OF_POROUS and any(map(_of_size, own)):
+        others |= of_size
+    of_kind = {kind for kind, each in table()["kinds"].items() if {*each.split()} & {*own}}
+    return {*others} - {*own} - of_kind
+
+
+def _near(thing: frozenset[str]) -> list[str]:
+    """Return the entries that the file has beside things of which there is no entry."""
+    same = _known()
+    return [
+        entry.strip()
+        for things, near in table()["near"].items()
+        if thing & {same.get(each, each) for each in _folded(things).split()}
+        for entry in near.split(",")
+    ]
