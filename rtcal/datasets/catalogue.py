@@ -296,13 +296,13 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the entry that a name means, followed by other entries that resemble the name.
 
     ``among`` are `pieces`; None means the materials. Only the entry is returned if the name is its own.
-    Raises DataError, with the nearest names, for a name that means no entry, and for one that states a
-    finish or a form alone, such as "blue paint".
+    Raises DataError, with the nearest names, for a name that means no entry, such as "steel", and for
+    one that states a finish or a form alone, such as "blue paint".
 
     Examples
     --------
     >>> found("Wooden Chair", pieces()), found("Holzboden")[0]
-    (['wooden chair'], 'wood_1.6cm')
+    (['wooden chair'], 'wood_floor')
     """
     described = names() if among is None else among
     own = next((n for n in described if _plainly(n) == _plainly(name)), None)
@@ -349,15 +349,14 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     """Return the names of entries whose name or description resembles a material's name.
 
     ``name`` is that of the material, and ``most`` the largest number of names to return. ``among`` has
-    entries to choose from, as name to description; None for the catalogue's. An entry that
-    ``material_names.toml`` lists for this name is first. For the others, rare words count more than
-    frequent ones, and words of an entry's name more than those of its description. Endings may differ,
-    and words of other languages and of the trade are translated.
+    entries to choose from, as name to description; None for the catalogue's. The entry that the name
+    means (`rtcal.datasets.lookup`) is first. For the others, rare words count more than frequent ones,
+    and words of an entry's name more than those of its description.
 
     Examples
     --------
     >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
-    (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
+    (['linoleum_on_concrete'], ['ceiling_perforated_metal'])
     """
     described = names() if among is None else among
     meant = None if among is not None and among != pieces() else _meaning(name, described).entry
