@@ -29,6 +29,12 @@ def test_a_file_has_the_room_that_is_drawn(name: str) -> None:
     assert any("not faces: 1 LINE" in note for note in done.notes) == name.endswith(".dxf")
 
 
+def test_a_stated_unit_replaces_the_file_s() -> None:
+    done = mesh.room(FOLDER / "mesh.dxf", unit=0.01)
+    assert done.volume == pytest.approx(1000 * ROOMS["mesh.dxf"]["volume"], rel=1e-9)
+    assert "a unit of 0.001 m, but 0.01 m was given" in done.notes[0]
+
+
 def test_a_mesh_in_another_unit_is_refused() -> None:
     """A room of 5 m x 4 m x 3 m in mm, read as m, had 6e10 m³ and was taken for a room."""
     in_mm = Polyhedron.shoebox((5000, 4000, 3000), "plaster")

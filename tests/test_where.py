@@ -186,6 +186,11 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     assert len(result.places) == len(finding.pairs)
 
 
+def test_what_is_kept_is_not_simulated_again(of_openings: rt.finder.Finding, kept: Path) -> None:
+    again = rt.find(of_openings.case, only=["opening"], cache=kept)
+    assert again.score == of_openings.score
+
+
 def test_surfaces_join_the_faces_of_a_plane() -> None:
     box = Polyhedron.shoebox(SIZE, "plaster")
     made = patched(box, [1], 4.0, "plaster", "hole")

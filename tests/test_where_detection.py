@@ -10,12 +10,15 @@ import pytest
 import rtcal as rt
 from rtcal.finder.claim import Detection
 from rtcal.finder.effects import library
-from rtcal.finder.positions.problem import (
-    shifts,
-)
+from rtcal.finder.positions.problem import PositionsHypotheses, shifts
 from rtcal.finder.positions.search import (
+    LEAST_BY_MEANS,
+    MEANS_POWER,
     THRESHOLD,
+    TOLD_TEMPER,
     of_means,
+    weights,
+    with_families,
 )
 from tests.test_where import measured, stated, tracing
 
@@ -67,3 +70,23 @@ def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
     along = dict(zip(case.room.materials, of_means(case).facing, strict=True))
     np.testing.assert_allclose(along["east wall"], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(along["floor wall"], [0, 0, 1], atol=1e-12)
+
+
+def test_the_families_of_the_means_are_multiplied_in(
+    case: rt.finder.PositionsCase,
+) -> None:
+    some = [
+        s.some(slice(0, 1))
+        for s in shifts(case, library())
+        if s.effect in ("opening", "covered surface")
+    ]
+    pair = [some[0], next(s for s in some if s.family != some[0].family)]
+    every = PositionsHypotheses(pair, [], off=0.1)
+    before = weights(np.zeros(len(every.log_prior)), every, TOLD_TEMPER)
+    after = with_families(before, every, {"none": 1e-9, pair[0].family: 0.64})
+    changed = np.exp(after - before)
+    for of_shifts in every.of_groups(changed)[1:]:
+        assert np.concatenate(of_shifts) == pytest.approx(
+            [0.64**MEANS_POWER, LEAST_BY_MEANS**MEANS_POWER]
+        )
+    assert changed[0] == pytest.approx(LEAST_BY_MEANS**MEANS_POWER)

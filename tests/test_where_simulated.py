@@ -10,8 +10,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.apply import corrected_geometry
-from rtcal.finder.verification import OF_RUNS, verify
+from rtcal.finder.verification import OF_RUNS, _less, verify
 from rtcal.simulators import RayTracing
+from rtcal.simulators.base import Observations
 from rtcal.support.errors import DataError
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_corrected import candidate
@@ -160,3 +161,29 @@ def test_what_a_run_lacks_is_left_out_and_named() -> None:
     also = rt.compare(stated(), whole, rt.Run(stated(), run))
     assert also.left_out == [note]
     assert replace(case, match=case.match).notes == case.notes
+
+
+def test_a_measurement_less_an_offset_keeps_its_relative_uncertainty() -> None:
+    """A calibration to it is that of the tracer plus the offset to the measurement."""
+    whole = given(*MATCH)
+    own = {"t20": np.full_like(whole.values["t20"], 0.02)}
+    common = {"t20": np.full(len(BANDS), 0.03), "c80": np.full(len(BANDS), 0.4)}
+    whole = replace(whole, uncertainty=own, common_uncertainty=common)
+    offset = np.random.default_rng(2).normal(0, 0.1, (len(MATCH), len(whole.pairs), len(BANDS)))
+    less = _less(whole, MATCH, whole.pairs, offset)
+    left = [Observations.of_measurement(of, MATCH, whole.pairs).values for of in (whole, less)]
+    np.testing.assert_allclose(left[0] - left[1], offset)
+    np.testing.assert_allclose(less.uncertainty["t20"] / less.values["t20"], 0.02)
+    share = less.common_uncertainty["t20"] / less.values["t20"].mean(axis=0)
+    np.testing.assert_allclose(share, 0.03, rtol=1e-6)
+    np.testing.assert_allclose(less.common_uncertainty["c80"], 0.4)
+
+
+def test_a_run_with_nothing_that_was_measured_is_refused() -> None:
+    with pytest.raises(DataError, match=r"no value in common: the simulation has T30 .* has T20"):
+        beside(given("t30"), given("t20"))
+    first, last = given("t20").select([("S1", "R1")]), given("t20").select([("S2", "R3")])
+    with pytest.raises(
+        DataError, match=r"no source-receiver pair in common: .* S1 to R1, .* S2 to R3"
+    ):
+        beside(first, last)

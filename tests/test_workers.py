@@ -11,6 +11,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ import pytest
 
 import rtcal as rt
 from rtcal import studies
+from rtcal.finder import control_rooms
+from rtcal.finder.means import engines
 from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import simulated_controls
 from rtcal.support import workers
@@ -171,6 +174,16 @@ def test_two_states_have_no_work_for_a_cluster(tmp_path: Path) -> None:
 
 
 # The same numbers ---------------------------------------------------------------------------------
+
+
+def test_reference_rooms_are_the_same_from_the_cluster(
+    cluster: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = {name: replace(engine, setups=2) for name, engine in engines.ENGINES.items()}
+    monkeypatch.setattr(engines, "ENGINES", few)
+    case, _ = rt.datasets.hidden_room()
+    here, there = control_rooms(case), control_rooms(case, scheduler=with_workers(cluster, 2))
+    assert all(np.array_equal(a.errors, b.errors) for a, b in zip(here, there, strict=True))
 
 
 def runs_of(**options: Any) -> tuple[np.ndarray, list[tuple[int, int]]]:

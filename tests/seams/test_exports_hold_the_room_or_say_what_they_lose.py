@@ -21,7 +21,7 @@ import rtcal as rt
 from rtcal.finder.apply import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
-from rtcal.simulators import Polyhedron, of_equation
+from rtcal.simulators import of_equation
 from tests.conftest import also
 from tests.test_where_corrected import candidate
 
@@ -50,77 +50,24 @@ def same(one: Any, other: Any) -> bool:
 
 FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}
 OCTAVES = [63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]
-NAMES = ["floor", "walls"]
-SIZE = (6.0, 5.0, 3.2)
-WALLS = {
-    "floor": "floor",
-    "ceiling": "walls",
-    **dict.fromkeys(("west", "east", "south", "north"), "walls"),
-}
-SOURCES, RECEIVERS = {"S1": (1.5, 1.2, 1.5)}, {"R1": (4.5, 3.5, 1.2), "R2": (3.0, 4.2, 1.2)}
-GEOMETRY = Polyhedron.shoebox(SIZE, WALLS)
-AREAS = GEOMETRY.areas
+STATED = (Path(__file__).parents[1] / "native" / "everything.toml").read_text("utf-8")
+"""A room that states everything that a room can, but a record."""
+PERSONS = f"""
+[[object]]
+name = "persons"
+number = 20
+area_per_piece = {[0.5] * 8}
+sigma = {[0.05] * 8}
+"""
 
 
 def stated(**others: Any) -> rt.Room:
-    """Return a room that states everything that a room can, but a record."""
-    rng = np.random.default_rng(7)
-    shape = (2, len(OCTAVES))
-    alpha = rng.uniform(0.1, 0.4, shape)
-    alpha[0, -1] = 1.08
-    everything = {
-        "name": "hall",
-        "author": "A. Consultant",
-        "volume": GEOMETRY.volume,
-        "materials": NAMES,
-        "areas": [AREAS[n] for n in NAMES],
-        "alpha": alpha,
-        "above_one": "clip",
-        "sigma": np.full(shape, 0.05),
-        "alpha_min": np.full(shape, 0.01),
-        "scattering": rng.uniform(0.05, 0.6, shape),
-        "scattering_model": "vector",
-        "centre_frequencies": OCTAVES,
-        "air": rt.Air(18.0, 40.0),
-        "band_correlation": 0.3,
-        "material_correlation": {("floor", "walls"): 0.2},
-        "sources": {"floor": "laboratory"},
-        "dimensions": SIZE,
-        "surfaces": GEOMETRY.surfaces,
-        "volume_sigma": 0.02,
-        "area_sigma": {"floor": 0.03},
-        "common_area_sigma": 0.01,
-        "common_alpha_sigma": 0.05,
-        "climate_sigma": (1.0, 5.0),
-        "scene": rt.Scene(
-            sources=SOURCES,
-            receivers=RECEIVERS,
-            position_uncertainty=0.05,
-            directivity={"S1": rt.Directivity(index=[3.0] * 8, aim=(1, 0, 0))},
-            surfaces={
-                "sides": ("west", "east"),
-                "ends": ("south", "north"),
-                "floor": ("floor",),
-                "ceiling": ("ceiling",),
-            },
-        ),
-    }
-    return rt.Room(**(everything | others))
+    return rt.Room.from_text(STATED, "everything.toml").replace(**others)
 
 
 def peopled() -> rt.Room:
     """Return a room with persons, which are pieces and no surface."""
-    room = stated()
-    persons = np.full((1, len(OCTAVES)), 0.5)
-    return stated(
-        materials=[*NAMES, "persons"],
-        areas=[*room.areas, 20.0],
-        alpha=np.vstack([room.alpha, persons]),
-        sigma=np.vstack([room.sigma, 0.1 * persons]),
-        alpha_min=np.vstack([room.alpha_min, 0.0 * persons]),
-        scattering=np.vstack([room.scattering, 0.0 * persons]),
-        pieces=("persons",),
-    )
+    return rt.Room.from_text(STATED + PERSONS, "everything.toml")
 
 
 def calibrated() -> rt.Room:
