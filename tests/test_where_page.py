@@ -22,7 +22,7 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
-from rtcal.report import of_finding
+from rtcal.report import of_finding, verification_words
 from rtcal.report.document import page_files
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
@@ -121,6 +121,7 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     assert result.verdict == verdict
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05
+    assert " ± " in str(verification_words.gaps(result).rows[0].values[0])
 
 
 @pytest.mark.parametrize("name", ["t20", "edt"])

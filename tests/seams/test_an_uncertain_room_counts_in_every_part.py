@@ -142,6 +142,7 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
     expected = rt.calibrate(room, result.outcome.reverberation_time_after, "mle", SABINE)
     np.testing.assert_allclose(result.of_uncertain_room.alpha, expected.alpha, rtol=1e-9)
     assert (result.of_uncertain_room.alpha > result.alpha + 1e-3).all()
+    assert "volume 10 %" in " ".join(str(result).split())
     exact = rt.calibrate_simulator(simulator, room_of(), measured, equation=SABINE, tolerance=0.01)
     assert exact.of_uncertain_room is None
 

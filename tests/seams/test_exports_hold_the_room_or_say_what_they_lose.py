@@ -21,6 +21,7 @@ import rtcal as rt
 from rtcal.finder.apply import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions import PositionsResult
+from rtcal.report import of_positions
 from rtcal.simulators import of_equation
 from tests.conftest import also
 from tests.test_where_corrected import candidate
@@ -202,6 +203,14 @@ def test_a_list_holds_what_it_does_not_say(
     assert ("count the measurement twice" in said) == (room.calibration is not None)
     if kind == "fit" and again.scattering is not None:
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
+
+
+def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
+    """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
+    result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
+    assert "--scattering-model" not in str(of_positions.command(result))
+    kept = replace(result, scattering=None)
+    assert "--scattering-model vector" in str(of_positions.command(kept))
 
 
 def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:

@@ -27,6 +27,7 @@ from rtcal.finder.positions.search import (
     weights,
 )
 from rtcal.finder.positions.weighing import responses_of
+from rtcal.report.finding_words import headline
 from tests.conftest import also
 from tests.test_where import MATCH, measured, stated, tracing
 from tests.test_where_page import finding_of
@@ -134,6 +135,7 @@ def unknown(shares: dict[str, float], families: Sequence[str] = ("added absorpti
 
 def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
     found = unknown({"wall 5": 0.8, "wall 0": 0.2})
+    assert "added absorption explains most (over 99 % of the rest)" in " ".join(headline(found))
     assert found.can_be_added
     made = found.apply()
     assert made.added.surface == "wall 5"
