@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,6 +128,20 @@ def random_room(
         centre_frequencies=np.array([63, 125, 250, 500, 1000, 2000, 4000, 8000][:k]),
         air=air,
     )
+
+
+def room_of(
+    materials: Mapping[str, tuple[float, Any, Any]],
+    bands: Sequence[float],
+    volume: float = 100.0,
+    **stated: Any,
+) -> rt.Room:
+    """A room of materials with area, alpha and sigma; one number stands for all bands."""
+    areas, *rows = zip(*materials.values(), strict=True)
+    alpha, sigma = ([np.broadcast_to(row, len(bands)) for row in each] for each in rows)
+    of_all = {"volume": volume, "centre_frequencies": bands, "materials": [*materials]}
+    parts = {"areas": areas, "alpha": np.array(alpha), "sigma": np.array(sigma)}
+    return rt.Room(**{"name": "room", **of_all, **parts, **stated})
 
 
 def in_order(room: rt.Room, order: Sequence[int]) -> rt.Room:

@@ -15,7 +15,7 @@ from rtcal import terms
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import GaussNewtonFit, fit
 from rtcal.calibration.unknowns import Configurations
-from tests.conftest import also, random_room, true_times
+from tests.conftest import also, random_room, room_of, true_times
 
 EYRING = rt.Eyring()
 PRIOR = terms.PriorDeviation()
@@ -222,15 +222,7 @@ def test_an_effect_is_found_beside_alpha() -> None:
 
 
 def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
-    room = rt.Room(
-        name="two",
-        volume=60,
-        materials=["a", "b"],
-        areas=[50, 50],
-        alpha=[[0.3], [0.3]],
-        sigma=[[0.1], [0.1]],
-        centre_frequencies=[1000],
-    )
+    room = room_of({"a": (50, 0.3, 0.1), "b": (50, 0.3, 0.1)}, [1000], 60, name="two")
     t = EYRING.time(room, np.array([30.0]))
     constraints = [terms.ExactMatch(), terms.GroupAbsorption(["a"], least=40.0)]
     with pytest.raises(rt.errors.InfeasibleError) as error:
@@ -246,15 +238,7 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
     assert str(error.value).endswith(
         "contradiction: match of T within 1 JND at 1000 Hz (m² of absorption) has to be 8.698 higher"
     )
-    both = rt.Room(
-        name="two bands",
-        volume=60,
-        materials=["a", "b"],
-        areas=[50, 50],
-        alpha=[[0.3, 0.3], [0.3, 0.3]],
-        sigma=[[0.1, 0.1], [0.1, 0.1]],
-        centre_frequencies=[500, 1000],
-    )
+    both = room_of({"a": (50, 0.3, 0.1), "b": (50, 0.3, 0.1)}, [500, 1000], 60)
     with pytest.raises(rt.errors.InfeasibleError) as error:
         rt.Calibration(PRIOR, constraints).build(both).solve([t[0], t[0]])
     assert str(error.value).endswith(
@@ -279,14 +263,11 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
 
 def test_two_configurations_determine_two_materials() -> None:
     """Exact in both, without noise: the two coefficients are determined."""
-    a = rt.Room(
+    a = room_of(
+        {"wall": (90, [0.3, 0.4], 0.1), "curtain": (10, [0.5, 0.6], 0.1)},
+        [500, 1000],
+        100,
         name="open",
-        volume=100,
-        materials=["wall", "curtain"],
-        areas=[90, 10],
-        alpha=[[0.3, 0.4], [0.5, 0.6]],
-        sigma=np.full((2, 2), 0.1),
-        centre_frequencies=[500, 1000],
     )
     b = a.replace(name="drawn", areas=[75, 25])
     truth = np.array([[0.25, 0.45], [0.62, 0.51]])

@@ -23,7 +23,7 @@ from rtcal.simulators import (
     ScatteringDelayNetwork,
 )
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 HALL = halls.lecture_hall()
 ROOM = HALL.room
@@ -126,14 +126,11 @@ def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     assert np.diag(of_team - made) == pytest.approx(0.01 / t**2 - made[0, 1])
 
 
-BOX = rt.Room(
+BOX = room_of(
+    {"floor": (35, 0.3, 0.1), "other": (107, 0.2, 0.05)},
+    [1000],
+    105,
     name="box",
-    volume=105,
-    materials=["floor", "other"],
-    areas=[35, 107],
-    alpha=[[0.3], [0.2]],
-    sigma=[[0.1], [0.05]],
-    centre_frequencies=[1000],
     dimensions=(5, 7, 3),
     surfaces=[
         rt.Surface("floor", "floor", 35.0),

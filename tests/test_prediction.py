@@ -13,7 +13,7 @@ from rtcal.command.main import main
 from rtcal.prediction import Assumptions, Change, changed, predict
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
-from tests.conftest import also, in_order
+from tests.conftest import also, in_order, room_of
 
 BANDS = [250.0, 1000.0, 4000.0]
 METHODS = ("mle", "soft", "lse", "smooth", "robust")
@@ -456,14 +456,11 @@ BOARD = rt.Material("panel", [0.8, 0.9], [0.1, 0.1])
 
 
 def two_materials() -> rt.Room:
-    return rt.Room(
+    return room_of(
+        {"wall": (100, [0.2, 0.25], 0.04), "floor": (30, [0.1, 0.12], 0.04)},
+        [500, 1000],
+        100,
         name="box",
-        volume=100,
-        materials=["wall", "floor"],
-        areas=[100, 30],
-        alpha=[[0.2, 0.25], [0.1, 0.12]],
-        sigma=np.full((2, 2), 0.04),
-        centre_frequencies=[500, 1000],
     )
 
 

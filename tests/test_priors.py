@@ -18,6 +18,7 @@ from rtcal.acoustics.priors import (
     sigma_iso_12999_2,
 )
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
+from tests.conftest import room_of
 
 
 def moments(mu: ArrayLike, sigma: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -111,15 +112,8 @@ def test_sigma_rules() -> None:
 
 def test_correlations_reach_the_calibration() -> None:
     """Not separable sigma, one band without T: the correlated prior carries a shift over to it."""
-    room = rt.Room(
-        name="r",
-        volume=100,
-        materials=["a", "b"],
-        areas=[80, 30],
-        alpha=[[0.1, 0.1], [0.3, 0.4]],
-        sigma=[[0.05, 0.05], [0.1, 0.1]],
-        centre_frequencies=[500, 1000],
-        air=rt.Air(),
+    room = room_of(
+        {"a": (80, 0.1, 0.05), "b": (30, [0.3, 0.4], 0.1)}, [500, 1000], 100, air=rt.Air()
     )
     t = [0.5, np.nan]
     alone = rt.calibrate(room, t)

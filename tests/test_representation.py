@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from tests.conftest import room_of
 
 
 def box(**changes):
-    room = rt.Room(
-        name="box & <co>",
-        volume=60,
-        materials=["floor", "wall"],
-        areas=[20, 74],
-        alpha=[[0.4, 0.5], [0.02, 0.03]],
-        sigma=[[0.1, 0.1], [0.01, 0.01]],
-        centre_frequencies=[500, 1000],
+    room = room_of(
+        {"floor": (20, [0.4, 0.5], 0.1), "wall": (74, [0.02, 0.03], 0.01)}, [500, 1000], 60
     )
     return room.replace(**changes)
 

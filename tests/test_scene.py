@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from tests.conftest import room_of
 
 STATED = rt.Scene(
     mesh="meshes/room.obj",
@@ -20,17 +21,13 @@ STATED = rt.Scene(
 
 
 def room(**stated: object) -> rt.Room:
-    return rt.Room(
-        name="box",
-        volume=60,
-        materials=["floor", "rest"],
-        areas=[20, 74],
-        alpha=[[0.4], [0.6]],
-        sigma=[[0.1], [0.1]],
+    return room_of(
+        {"floor": (20, 0.4, 0.1), "rest": (74, 0.6, 0.1)},
+        [1000],
+        60,
         scattering=[[0.3], [0.2]],
         sources={"floor": "a book"},
-        centre_frequencies=[1000],
-        **stated,  # type: ignore[arg-type]
+        **stated,
     )
 
 

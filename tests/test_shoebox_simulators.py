@@ -11,6 +11,7 @@ from rtcal.simulators import base, kernels
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.shoebox import ImageSource, ScatteringDelayNetwork, lattice, mean_energy
 from rtcal.support.errors import DataError, TooShortError
+from tests.conftest import room_of
 from tests.reference import shoebox as reference
 
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
@@ -122,16 +123,7 @@ def test_image_sources_are_pyroomacoustics() -> None:
     assert len(ours) == near.sum() > 500
     for place, count in zip(theirs[near], order[near], strict=True):
         assert ours[tuple(np.round(place, 6) + 0.0)] == tuple(abs(count))
-    room = rt.Room(
-        name="box",
-        volume=105,
-        materials=["all"],
-        areas=[142],
-        alpha=[[alpha]],
-        sigma=[[0.1]],
-        centre_frequencies=[1000],
-        dimensions=DIMENSIONS,
-    )
+    room = room_of({"all": (142, alpha, 0.1)}, [1000], 105, name="box", dimensions=DIMENSIONS)
     images = ImageSource(room=room, sources=SOURCE, receivers=RECEIVER, duration=duration)
     length = np.linalg.norm(theirs - RECEIVER["R"], axis=1)
     direct = length.min()

@@ -6,17 +6,10 @@ import pytest
 import rtcal as rt
 from rtcal.simulators.base import Simulator
 from rtcal.support.errors import DataError
+from tests.conftest import room_of
 
-SHOEBOX = rt.Room(
-    name="box",
-    volume=105,
-    materials=["all"],
-    areas=[142],
-    alpha=[[0.3]],
-    sigma=[[0.1]],
-    centre_frequencies=[1000],
-    dimensions=(5, 7, 3),
-    scattering=[[0.3]],
+SHOEBOX = room_of(
+    {"all": (142, 0.3, 0.1)}, [1000], 105, name="box", dimensions=(5, 7, 3), scattering=[[0.3]]
 )
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2)}, {"R": (2, 2, 1.5)}
 SIMULATORS = {

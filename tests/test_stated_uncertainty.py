@@ -14,7 +14,7 @@ from rtcal.finder import Case, Configuration
 from rtcal.finder.means.problem import _uncertainty, observe
 from rtcal.io.impulse_responses import with_uncertainty
 from rtcal.support.errors import DataError
-from tests.conftest import run
+from tests.conftest import room_of, run
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 PAIRS = [("S1", "R1"), ("S1", "R2"), ("S1", "R3"), ("S1", "R4")]
@@ -33,15 +33,7 @@ def measured() -> rt.Measurement:
 
 
 def hall() -> rt.Room:
-    return rt.Room(
-        name="hall",
-        volume=400.0,
-        materials=["plaster"],
-        areas=[340.0],
-        alpha=np.full((1, 6), 0.15),
-        sigma=np.full((1, 6), 0.05),
-        centre_frequencies=F,
-    )
+    return room_of({"plaster": (340.0, 0.15, 0.05)}, F, 400.0, name="hall")
 
 
 @pytest.mark.parametrize("name", ["uncertainty", "common_uncertainty"])

@@ -11,6 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.marks import of_input, plausibility, trust_marks
 from rtcal.report.pages import page
+from tests.conftest import room_of
 
 
 def test_q_counts_correlated_bands_once() -> None:
@@ -44,14 +45,10 @@ def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
 
 
 def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
-    room = rt.Room(
-        name="r",
-        volume=1000,
-        materials=["wall", "seats"],
-        areas=[400, 150],
-        alpha=[[0.05] * 4, [0.5] * 4],
-        sigma=[[0.02] * 4, [0.1] * 4],
-        centre_frequencies=[63, 500, 4000, 8000],
+    room = room_of(
+        {"wall": (400, 0.05, 0.02), "seats": (150, 0.5, 0.1)},
+        [63, 500, 4000, 8000],
+        1000,
         air=rt.Air(20, 30),
     )
     t = np.array([1.2, 1.2, 1.0, np.nan])

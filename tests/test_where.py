@@ -19,6 +19,7 @@ from rtcal.finder.positions.surfaces import patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
+from tests.conftest import room_of
 
 BANDS = (500.0, 1000.0, 2000.0)
 SIZE = (7.0, 5.0, 3.0)
@@ -195,14 +196,8 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
     box = Polyhedron.shoebox(SIZE, "plaster")
     made = patched(box, [1], 4.0, "plaster", "hole")
     assert made is not None
-    room = rt.Room(
-        name="box",
-        volume=made.volume,
-        materials=["plaster"],
-        areas=[sum(made.areas.values())],
-        alpha=[[0.1] * 3],
-        sigma=[[0.02] * 3],
-        centre_frequencies=BANDS,
+    room = room_of(
+        {"plaster": (sum(made.areas.values()), 0.1, 0.02)}, BANDS, made.volume, name="box"
     )
     simulator = tracing(room, made)
     case = rt.finder.PositionsCase(simulator=simulator, measured=measured(False))

@@ -22,20 +22,13 @@ from rtcal.finder.positions.problem import (
 )
 from rtcal.finder.positions.search import _candidate
 from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture
+from tests.conftest import room_of
 
 WIDTH = 0.002
 
 
 def room() -> rt.Room:
-    return rt.Room(
-        name="box",
-        volume=200.0,
-        materials=["wall"],
-        areas=[210.0],
-        alpha=[[0.1, 0.2]],
-        sigma=[[0.01, 0.02]],
-        centre_frequencies=[500, 1000],
-    )
+    return room_of({"wall": (210.0, [0.1, 0.2], [0.01, 0.02])}, [500, 1000], 200.0)
 
 
 def balances(aperture: Aperture, first: np.ndarray, seconds: float) -> np.ndarray:

@@ -10,6 +10,7 @@ from rtcal.finder import PositionsCase
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
+from tests.conftest import room_of
 
 BANDS = [250.0, 500.0, 1000.0]
 RNG = np.random.default_rng(3)
@@ -75,14 +76,11 @@ def test_in_a_table(named: bool) -> None:
 
 
 def box() -> tuple[rt.Room, rt.simulators.PathTracing]:
-    room = rt.Room(
+    room = room_of(
+        {"walls": (74.0, 0.2, 0.05), "floor": (20.0, 0.2, 0.05)},
+        BANDS,
+        60.0,
         name="box",
-        volume=60.0,
-        materials=["walls", "floor"],
-        areas=[74.0, 20.0],
-        alpha=np.full((2, 3), 0.2),
-        sigma=np.full((2, 3), 0.05),
-        centre_frequencies=BANDS,
         dimensions=(4.0, 5.0, 3.0),
     )
     geometry = rt.simulators.Polyhedron.shoebox(
