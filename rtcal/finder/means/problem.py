@@ -293,7 +293,7 @@ def predict_hypotheses(
     base = [state(case, c) for c in case.configurations]
     if grids is None:
         grids = [checked_grid(effect, base[0], case.room) for effect in effects]
-    _check_size(case, 1 + sum(map(len, grids)))
+    check_size(case, 1 + sum(map(len, grids)))
     names, states = [NONE], [[b] for b in base]
     parameters: list[Parameters] = [{}]
     frequencies, n_bands = case.room.centre_frequencies, case.room.n_bands
@@ -334,7 +334,7 @@ def predict_hypotheses(
     )
 
 
-def _check_size(case: Case, n_hypotheses: int) -> None:
+def check_size(case: Case, n_hypotheses: int) -> None:
     """Raise DataError for a case larger than `LARGEST_FEATURES` or `LARGEST_HYPOTHESES`."""
     room, n = case.room, len(case.configurations)
     measured = sum(len(set(c.measured.values) & set(FEATURES)) for c in case.configurations)
