@@ -335,7 +335,11 @@ def predict_hypotheses(
 
 
 def check_size(case: Case, n_hypotheses: int) -> None:
-    """Raise DataError for a case larger than `LARGEST_FEATURES` or `LARGEST_HYPOTHESES`."""
+    """Raise DataError for a case that is too large to be compared.
+
+    At most 1000 measured values (parameters times bands) and 5000 hypotheses (effects with one set of
+    parameter values) are possible.
+    """
     room, n = case.room, len(case.configurations)
     measured = sum(len(set(c.measured.values) & set(FEATURES)) for c in case.configurations)
     if (size := measured * room.n_bands) > LARGEST_FEATURES:
