@@ -306,7 +306,7 @@ def test_a_file_of_others_stays(tmp_path: Path, capsys: pytest.CaptureFixture[st
         (["--dimensions", "9,7,3 km"], '--dimensions "km" is neither a number nor one of'),
         (
             ["--audience", "200"],
-            "--audience: 200 persons need 1 m² each, but the floor has only 63 m²",
+            "--audience: 200 persons need 1 m² each and must leave a part of the floor's 63 m²",
         ),
         (["--temperature", "200"], "200"),
         (["--out", "room.csv"], r"room.csv: .* Use .toml"),

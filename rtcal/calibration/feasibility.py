@@ -52,9 +52,10 @@ class Unreachable:
         needed = f"{time} would need an absorption area of the surfaces of {self.target:.4g} m²"
         if np.isnan(self.target):
             needed = f"No absorption area gives {time}"
+        longest = f"to {self.longest:.4g} s" if np.isfinite(self.longest) else "s and longer"
         return (
             f"T[{bands.label(self.frequency)}] = {time} cannot be reached: coefficients within their "
-            f"bounds give T from {self.shortest:.4g} to {self.longest:.4g} s. {needed}; the bounds "
+            f"bounds give T from {self.shortest:.4g} {longest}. {needed}; the bounds "
             f"allow {self.lowest:.4g} to {self.highest:.4g} m²"
         )
 

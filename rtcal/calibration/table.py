@@ -366,6 +366,11 @@ def remarks(record: Mapping[str, Any]) -> list[str]:
         )
     else:
         first = "Volume and areas count as exact: the room's file gives them no uncertainty."
+    if record["method"] == "lse":
+        first += (
+            " Least squares counts each material once, whatever its area: a surface that is divided "
+            "into two materials changes the result."
+        )
     nearest = "the coefficients with the nearest T were taken"
     said = [first, *(f"{sentence}; {nearest}." for sentence in record["unreachable"])]
     said += filter(None, [measured["caution"]])

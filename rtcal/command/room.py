@@ -203,7 +203,7 @@ def _made(
     if audience is not None:
         if audience >= size[0] * size[1]:
             raise DataError(
-                f"--audience: {audience} persons need 1 m² each, but the floor has only "
+                f"--audience: {audience} persons need 1 m² each and must leave a part of the floor's "
                 f"{size[0] * size[1]:.4g} m². For a floor full of people give its "
                 "material, such as --floor audience_wooden_chairs_2_m2"
             )
