@@ -746,8 +746,8 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
         m |x - x*|² <= |r| |x - x*| + g
 
     with the dual residual r and the duality gap g. To this distance is added the step by which the
-    point misses equalities, and the rounding errors. If m = 0, the error bound is the distance between
-    the bounds of the coefficient.
+    point misses equalities, and the rounding errors. If m = 0, the error bound is the distance of the
+    coefficient from the farther of its bounds.
     """
     v, y, z = point.v, point.y, point.z
     force = program.force(v, y)

@@ -330,7 +330,7 @@ def amount(value: float, unit: str, interval: tuple[float, float] | None = None)
 
 @dataclass(frozen=True)
 class Size:
-    """Hold the most likely size of an effect and its 90 % interval, such as 12 m² (8 to 17).
+    """Hold the size of an effect: its mean and its 90 % interval, such as 12 m² (8 to 17).
 
     ``mean``, ``low`` and ``high`` are in ``unit``. ``end`` is "least" if the data allow any size above
     ``low``, "most" if they allow any size below ``high``, and "" if both ends are known.

@@ -472,12 +472,12 @@ class Finding(Result):
     ) -> Corrected:
         """Return the model with the effect that was found, as a room and as a simulator.
 
-        For means over positions, the most probable combination of effects is added, each with its most
-        probable size; if only a group is identified, or several groups are possible, the most probable
-        effect. An error that all input coefficients have in common is corrected in alpha, and increases
-        sigma. At positions, the most probable effect becomes a patch on its surface. For two states,
-        the result is the room after the change. An effect with a probability below 0.3 is added only if
-        you name it as ``effect``.
+        For means over positions, the most probable effect (with ``most`` above 1 the most probable
+        combination of effects) is added with the mean of its size, even if it is not identified
+        (verdicts "family" and "ambiguous"). An error that all input coefficients have in common is
+        corrected in alpha, and increases sigma. At positions, the most probable effect becomes a patch
+        on its surface. For two states, the result is the room after the change. An effect with a
+        probability below 0.3 is added only if you name it as ``effect``.
 
         Parameters
         ----------

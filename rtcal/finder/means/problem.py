@@ -498,8 +498,9 @@ class ObservedFeatures:
 def steps(case: Case, used: Array) -> dict[int, str]:
     """Return the two steps in which the data are tested: T of the first configuration, then all data.
 
-    The result maps the number of values in each step to the step's name in print. ``used``
-    (n_configurations, 5, n_bands) is True for the values that are compared.
+    The result maps the number of values in each step to the step's name in print; without other data
+    there is only one step. ``used`` (n_configurations, 5, n_bands) is True for the values that are
+    compared.
     """
     first = int(np.argmax(used.any((1, 2))))
     configuration = case.configurations[first]
