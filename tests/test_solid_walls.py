@@ -9,6 +9,7 @@ import pytest
 
 from rtcal.io import mesh
 from rtcal.io.mend import MeshError
+from rtcal.support.errors import DataError
 from tests.conftest import also, run
 
 Box = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
@@ -91,3 +92,20 @@ def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
     out = tmp_path / "room.toml"
     assert run("import", "catalogue", "--mesh", str(path), "--open", "--out", str(out)) == 2
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("per_m", "unit"), [(1000, "mm"), (100, "cm"), (39.3701, "inches")])
+def test_in_another_unit_the_cavity_is_the_room_too(
+    per_m: float, unit: str, tmp_path: Path
+) -> None:
+    """The message proposed the volume with the walls in it."""
+    boxes = [
+        (name, material, tuple(per_m * x for x in low), tuple(per_m * x for x in high))
+        for name, material, low, high in [*BUTT, FLOOR, ROOF]
+    ]
+    path = obj(tmp_path / "m.obj", boxes)
+    try:
+        said = " ".join(mesh.room(path).notes)
+    except DataError as error:
+        said = str(error)
+    assert f"105 m³ in {unit}" in said

@@ -1597,6 +1597,10 @@ def _reaches_into(hull: Polyhedron, part: FaceSet) -> bool:
 _THIN = 0.8
 """Mean chord in m, 4 V / S, below which a solid is a wall or a slab: that of a wall is twice its
 thickness at most, that of a cube of 5 m³ is 1.1 m."""
+_LONGEST = 150.0
+"""Longest side in m of a building that is drawn in m. A longer one is taken for one of mm, cm or inches."""
+_THIN_SHARE = 0.08
+"""The same chord as a share of the longest side, for such a mesh: that of a room of 10 m."""
 _LEAST_SHARE = 0.05
 """Least volume of the room, as a share of that of the box around the solids."""
 
@@ -1615,7 +1619,9 @@ def _room_between(part: FaceSet) -> FaceSet | None:
         solids = [group.polyhedron() for group in groups]
     except DataError:  # a solid that reaches through itself
         return None
-    thin = [4 * s.volume < _THIN * float(np.sum(s.face_areas)) for s in solids]
+    longest = float(np.ptp(mend.points, axis=0).max())
+    chord = _THIN if longest < _LONGEST else _THIN_SHARE * longest
+    thin = [4 * s.volume < chord * float(np.sum(s.face_areas)) for s in solids]
     if not any(thin):
         return None
 
