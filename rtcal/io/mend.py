@@ -1598,7 +1598,7 @@ _THIN = 0.8
 """Mean chord in m, 4 V / S, below which a solid is a wall or a slab: that of a wall is twice its
 thickness at most, that of a cube of 5 m³ is 1.1 m."""
 _LONGEST = 150.0
-"""Longest side in m of a building that is drawn in m. A longer one is taken for one of mm, cm or inches."""
+"""Longest side in m of a building that is drawn in m; a longer one is taken as in mm, cm or inches."""
 _THIN_SHARE = 0.08
 """The same chord as a share of the longest side, for such a mesh: that of a room of 10 m."""
 _LEAST_SHARE = 0.05
