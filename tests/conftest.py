@@ -114,6 +114,29 @@ def run(*arguments: object) -> int:
     return int(end.value.code or 0)
 
 
+class Commands:
+    """Runs commands in this process, and returns the words that they print, whatever their lines."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str]) -> None:
+        self._capsys = capsys
+
+    def __call__(self, *arguments: object) -> str:
+        """What a command prints that succeeds."""
+        code, (out, err) = run(*arguments), self._capsys.readouterr()
+        assert code == 0, err
+        return " ".join(out.split())
+
+    def refused(self, *arguments: object) -> str:
+        """The error of a command that ends with 2."""
+        assert run(*arguments) == 2
+        return " ".join(self._capsys.readouterr().err.split())
+
+
+@pytest.fixture
+def rtcal(capsys: pytest.CaptureFixture[str]) -> Commands:
+    return Commands(capsys)
+
+
 def random_room(
     rng: np.random.Generator, n: int = 6, k: int = 8, air: rt.Air | None = None
 ) -> rt.Room:

@@ -6,7 +6,6 @@ import hashlib
 import re
 import struct
 import time
-import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -229,14 +228,3 @@ def check(name: str, content: bytes, folder: Path) -> bool:
         assert time.process_time() - start < LIMIT, "a reader hangs"
     READERS[name].holds(result)
     return True
-
-
-def peak_memory(name: str, content: bytes, folder: Path) -> int:
-    """Bytes that a reader has in use at most."""
-    check(name, READERS[name].seeds[0], folder)  # so that no library is imported below
-    tracemalloc.start()
-    try:
-        check(name, content, folder)
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
 from benchmarks.studies.archives import archive as study
 from rtcal.calibration import archive as model
 from rtcal.calibration.archive import Evidence, RoomData, Spread
-from rtcal.command.main import cli
 from rtcal.support.errors import DataError
 from tests.conftest import also
 
@@ -32,7 +29,7 @@ def small() -> tuple[list[RoomData], np.ndarray, np.ndarray, np.ndarray]:
     return rooms, mu, sigma, np.log2([500.0, 1000.0])
 
 
-def test_plausible_spreads_have_the_covariance_that_the_cost_leaves() -> None:
+def test_plausible_spreads_have_the_covariance_that_the_cost_leaves():
     evidence = Evidence(*small())
     fitted = evidence.fitted()
     centre = model._point(fitted)
@@ -49,7 +46,7 @@ def test_plausible_spreads_have_the_covariance_that_the_cost_leaves() -> None:
     np.testing.assert_allclose(off.T @ off / len(off) @ curvature, np.eye(len(centre)), atol=0.1)
 
 
-def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
+def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra():
     """Every d, h, e and g as an unknown of its own, conditioned on b."""
     rooms, mu, sigma, octaves = small()
     n, k = mu.shape
@@ -101,7 +98,7 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
 
 
 @pytest.mark.long
-def test_a_twenty_first_room_is_known_better_than_by_the_table() -> None:
+def test_a_twenty_first_room_is_known_better_than_by_the_table():
     row = study.judge(3)
     assert row["archive"] < 0.8 * row["table"]
     assert row["archive, calibrated"] < row["table, calibrated"]
@@ -110,7 +107,7 @@ def test_a_twenty_first_room_is_known_better_than_by_the_table() -> None:
 
 
 @pytest.mark.long
-def test_a_material_that_is_another_is_named() -> None:
+def test_a_material_that_is_another_is_named():
     """In a room where the wrong name changes the absorption by half."""
     row = study.misnamed(1014)
     assert row["change of absorption"] > 0.3
@@ -132,7 +129,7 @@ def rooms() -> list[rt.calibration.CalibrationResult]:
     ]
 
 
-def test_the_order_of_rooms_changes_nothing(rooms: list[rt.calibration.CalibrationResult]) -> None:
+def test_the_order_of_rooms_changes_nothing(rooms):
     archive = rt.learn(rooms)
     turned = rt.learn(rooms[::-1])
     order = [turned.materials.index(m) for m in archive.materials]
@@ -143,21 +140,16 @@ def test_the_order_of_rooms_changes_nothing(rooms: list[rt.calibration.Calibrati
 
 
 @pytest.mark.parametrize("stated", [{"volume_sigma": 0.05}, *also({})])
-def test_how_a_room_was_calibrated_does_not_matter(
-    rooms: list[rt.calibration.CalibrationResult], stated: dict[str, float]
-) -> None:
+def test_how_a_room_was_calibrated_does_not_matter(rooms, stated):
     """Nor does it where no coefficient gives the measured T, and the nearest within reach was taken."""
     priors = [r.prior.replace(**stated) for r in rooms]
     short = 0.04 * rooms[0].measured
 
+    times = [short, *(r.measured for r in rooms[1:])]
+
     def learnt(method: str) -> rt.archive.Archive:
-        times = [short, *(r.measured for r in rooms[1:])]
-        return rt.learn(
-            [
-                rt.calibrate(p, t, method, unreachable="nearest")
-                for p, t in zip(priors, times, strict=True)
-            ]
-        )
+        each = zip(priors, times, strict=True)
+        return rt.learn([rt.calibrate(p, t, method, unreachable="nearest") for p, t in each])
 
     exactly = learnt("mle")
     for method in ("lse", "soft", "robust"):
@@ -167,9 +159,7 @@ def test_how_a_room_was_calibrated_does_not_matter(
         assert other.lessons == exactly.lessons
 
 
-def test_rooms_that_differ_too_far_give_no_room(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
+def test_rooms_that_differ_too_far_give_no_room(rooms):
     far = [
         rt.calibrate(rooms[i % 3].prior.replace(name=str(i)), t, "soft", unreachable="nearest")
         for i, t in enumerate(rooms[i % 3].measured * f for i, f in enumerate([0.1, 20] * 4))
@@ -179,7 +169,7 @@ def test_rooms_that_differ_too_far_give_no_room(
         archive.apply(rooms[0].prior.replace(name="new"))
 
 
-def test_states_of_a_room_share_what_is_its_own() -> None:
+def test_states_of_a_room_share_what_is_its_own():
     """A room in two states teaches more than in one, and less than two rooms."""
     rooms, mu, sigma, octaves = small()
     noise = np.diag(np.diag(rooms[1].covariance)[:2])
@@ -192,9 +182,7 @@ def test_states_of_a_room_share_what_is_its_own() -> None:
     assert left[0] > 1.01 * left[1] > 1.01 * 1.01 * left[2]
 
 
-def test_configurations_are_learned_as_one_room(
-    rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
-) -> None:
+def test_configurations_are_learned_as_one_room(rooms, tmp_path):
     full = rooms[0].prior
     bare = full.replace(name="bare", areas=full.areas * [1, 1, 1, 1, 0.3])
     pair = rt.Configurations([full, bare])
@@ -211,9 +199,7 @@ def test_configurations_are_learned_as_one_room(
     assert rt.learn(rt.archive.read_folder(tmp_path)).lessons == archive.lessons
 
 
-def test_the_library_is_the_next_calibrations_input(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
+def test_the_library_is_the_next_calibrations_input(rooms):
     archive = rt.learn(rooms, names={"floor": "linoleum"})
     new = rooms[0].prior.replace(name="new")
     known = archive.apply(new, names={"floor": "linoleum"})
@@ -236,9 +222,7 @@ def test_the_library_is_the_next_calibrations_input(
         archive.apply(new, names={"roof": "linoleum"})
 
 
-def test_a_name_with_another_table_is_another_material(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
+def test_a_name_with_another_table_is_another_material(rooms):
     """CR3's plaster absorbs twice as much by its table as CR2's: they have only the name in common."""
     room, other = rooms[0].prior, rooms[1].prior
     i = room.material_index("plaster")
@@ -252,10 +236,7 @@ def test_a_name_with_another_table_is_another_material(
     }  # fmt: skip
     new = apart.prior.replace(name="new")
     assert (archive.apply(new).alpha[i] == alpha[i]).all()
-    assert archive.left_as_stated(new) == (
-        "Left at the room's values, because the archive has another material of that name, by its "
-        'table: "plaster".',
-    )
+    assert '"plaster"' in archive.left_as_stated(new)[0]
     for called, entry in (("plaster (B)", -1), ("plaster", i)):
         known = archive.apply(new, names={"plaster": called})
         assert (known.alpha[i] == archive.alpha[entry]).all()
@@ -267,9 +248,7 @@ def test_a_name_with_another_table_is_another_material(
     assert again.left_as_stated(made) == ()
 
 
-def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
+def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(rooms):
     """Its table moves by h and is less certain by it; an exact one, and what data made, do not."""
     archive = rt.learn(rooms)
     assert archive.together < -0.02  # T is 1.2 times what the tables say
@@ -292,37 +271,30 @@ def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
     assert again.sources == known.sources
 
 
-def test_the_command_reads_a_folder_and_writes_a_room(
-    rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
-) -> None:
+def test_the_command_reads_a_folder_and_writes_a_room(rooms, tmp_path, rtcal):
     for result in rooms:
         result.save(tmp_path / "rooms" / result.prior.name)
     rooms[0].prior.save(str(tmp_path / "new.toml"))
     out = tmp_path / "library"
-    stated = ["learn", str(tmp_path / "rooms"), "--as", "floor=linoleum"]
-    run = CliRunner().invoke(
-        cli, [*stated, "--apply", str(tmp_path / "new.toml"), "--out", str(out), "--json"]
-    )
-    assert run.exit_code == 0, run.output
-    record = json.loads(run.output)
+    learn = ("learn", tmp_path / "rooms", "--out", out, "--json")
+    applied = ("--as", "floor=linoleum", "--apply", tmp_path / "new.toml")
+    record = json.loads(rtcal(*learn, *applied))
     assert record["left_as_stated"] == []
-    assert "linoleum" not in rt.Room.from_file(str(out / "room.toml")).materials
-    assert "archive" in rt.Room.from_file(str(out / "room.toml")).sources["floor"]
     assert [m["rooms"] for m in record["materials"]] == [3] * 5
-    assert rt.Room.from_file(str(out / "room.toml")).common_alpha_sigma > 0
+    made = rt.Room.from_file(str(out / "room.toml"))
+    assert "linoleum" not in made.materials
+    assert "archive" in made.sources["floor"]
+    assert made.common_alpha_sigma > 0
     assert rt.load(out).materials[3] == "linoleum"
 
     # A name of the next room alone.
     renamed = rooms[0].prior.replace(materials=["gypsum", *rooms[0].prior.materials[1:]])
     renamed.replace(sources={}).save(str(tmp_path / "renamed.toml"))
-    stated = ["learn", str(tmp_path / "rooms"), "--as", "gypsum=plaster", "--json"]
-    applied = ["--apply", str(tmp_path / "renamed.toml"), "--out", str(out)]
-    run = CliRunner().invoke(cli, [*stated, *applied])
-    assert run.exit_code == 0, run.output
-    assert json.loads(run.output)["left_as_stated"] == []
+    applied = ("--as", "gypsum=plaster", "--apply", tmp_path / "renamed.toml")
+    assert json.loads(rtcal(*learn, *applied))["left_as_stated"] == []
 
 
-def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
+def test_bad_input_is_named(rooms):
     for stated, message in (
         (([rooms[0]],), "1 calibrated rooms are given; an archive"),
         (([rooms[0], rooms[0]],), 'room "A" occurs twice'),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.command import main as cli
+from rtcal.simulators.base import check_alpha
 from rtcal.support.errors import DataError, InfeasibleError, ModelError
 from tests.conftest import also
 
@@ -44,11 +46,22 @@ GOOD = {
         ({"centre_frequencies": [1000, 500]}, "500 Hz after 1000 Hz"),
         ({"centre_frequencies": []}, "centre_frequencies"),
         ({"alpha_min": [[0.1, 0.1], [0.3, 2]]}, r'alpha_min\["carpet", 1000 Hz\]'),
+        ({"areas": {"wal": 80, "carpet": 20}}, "keys wal, carpet; they must be wall, carpet"),
+        ({"alpha": SimpleNamespace(to_numpy=list)}, "alpha is a table with labels"),
     ],
 )
 def test_room(change: dict, place: str) -> None:
     with pytest.raises(DataError, match=place):
         rt.Room(**{**GOOD, **change})
+
+
+def test_a_mapping_in_another_order_is_put_in_the_room_s() -> None:
+    plain = rt.Room(**GOOD)
+    alpha = {"carpet": GOOD["alpha"][1], "wall": GOOD["alpha"][0]}
+    labelled = rt.Room(**{**GOOD, "alpha": alpha, "areas": {"carpet": 20, "wall": 80}})
+    np.testing.assert_array_equal(labelled.alpha, plain.alpha)
+    np.testing.assert_array_equal(labelled.areas, plain.areas)
+    np.testing.assert_array_equal(check_alpha(labelled, alpha), plain.alpha)
 
 
 def test_an_unknown_method() -> None:
@@ -75,28 +88,18 @@ def test_times(t: list, message: str) -> None:
 @pytest.mark.parametrize("call", [rt.calibrate, rt.find, rt.calibrate_modes])
 def test_exchanged_arguments_are_named(call: Callable[..., object]) -> None:
     room, measured = rt.datasets.bras_cr2()
-    with pytest.raises(
-        DataError, match=r"must be an rtcal.Room, not an rtcal.Measurement.*order of"
-    ):
+    with pytest.raises(DataError, match=r"must be an rtcal.Room, not an rtcal.Measurement"):
         call(measured, room)
-    with pytest.raises(
-        DataError, match=r"'room.toml' must be an rtcal.Room: read it with rtcal.Room.from_file"
-    ):
+    with pytest.raises(DataError, match=r"'room.toml' must be an rtcal.Room"):
         call("room.toml", measured)
 
 
 def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
     room = rt.Room(**GOOD, air=rt.Air())
-    message = (
-        r"T\[1000 Hz\] = 90 s cannot be reached: coefficients within their bounds give T from .* to "
-        r"37.48 s. "
-        r"90 s would need an absorption area of the surfaces of -0.251 m²; the bounds allow 0 to 100 m²"
-    )
+    message = r"T\[1000 Hz\] = 90 s cannot .* 37.48 s.*-0.251 m²; the bounds allow 0 to 100 m²"
     with pytest.raises(InfeasibleError, match=message):
         rt.calibrate(room, [0.5, 90.0])
-    with pytest.raises(
-        InfeasibleError, match=r"T\[1000 Hz\] = 90 s is too long: in this room Eyring"
-    ):
+    with pytest.raises(InfeasibleError, match=r"T\[1000 Hz\] = 90 s is too long"):
         rt.Eyring().absorption_area(room, np.array([0.5, 90.0]))
     # Both bands are named at once.
     with pytest.raises(InfeasibleError, match=r"T\[500 Hz\].*T\[1000 Hz\]"):
@@ -111,9 +114,7 @@ def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
 def test_sigma_zero_outside_its_bounds() -> None:
     room = rt.Room(**{**GOOD, "sigma": [[0.0, 0.05], [0.1, 0.1]]})
     tight = rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.Bounds(0.2, 1, material="wall")])
-    with pytest.raises(
-        DataError, match=r'alpha\["wall", 500 Hz\] = 0.1, bounds 0.2 to 1: sigma is 0'
-    ):
+    with pytest.raises(DataError, match=r'alpha\["wall", 500 Hz\] = 0.1, bounds 0.2 to 1'):
         tight.build(room).solve([0.5, 0.5])
 
 
@@ -165,11 +166,7 @@ def run(tmp_path: Path, monkeypatch, capsys) -> Callable[..., Done]:
 BAD_FILES = [  # tests/test_native_files.py has what breaks a rule in a file
     (None, TIMES, "room.toml: no such file or folder"),
     (ROOM, None, "t.csv: no such file or folder"),
-    (
-        ROOM.replace("volume = 100\n", ""),
-        TIMES,
-        'room.toml: the file lacks the key "volume"; add it',
-    ),
+    (ROOM.replace("volume = 100\n", ""), TIMES, 'room.toml: the file lacks the key "volume"'),
     (ROOM, TIMES.replace("0.9", "abc"), 't.csv, line 2: value = "abc" must be a number'),
     (ROOM, TIMES.replace("500", "63").replace("1000", "125"), "have no band in common"),
     (ROOM, TIMES.replace("T20", "EDT"), "EDT but no T20 or T30 in any band of the room"),
@@ -212,25 +209,17 @@ def stated() -> None:
 
 TAKEN = (
     "calibrate ROOM TABLE",
-    "calibrate room.toml t.csv --modes TABLE",
-    "fit ROOM TABLE",
     "predict ROOM TABLE --change VARIANTS",
     "predict one.toml one.csv --also ROOM TABLE --change variants.toml",
     "design ROOM TABLE --treatments TREATMENTS",
     "find ROOM TABLE",
     "find CASE",
-    "find room.toml t.csv --before TABLE",
     "plan CASE",
-    "verify RESULT",
     "apply RESULT --out x",
-    "report RESULT",
-    "loop start ROOM TABLE --state new.json --out new.toml",
     "loop next ROOM TABLE --state loop.json --out next.toml",
-    "loop back ROOM --state loop.json --out next.toml",
     "export catt ROOM new.geo",
     "learn made --apply ROOM --out x",
     "measure RESPONSE",
-    "table TABLE",
     "import library TABLE --volume 100 --out new.toml",
 )
 
@@ -254,10 +243,8 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
     for i, word in enumerate(words):
         needed = {**FILES, "RESPONSE": ("", "an impulse response")}.get(word)
         for other, (name, kind) in FILES.items():
-            taken_as_well = {
-                ("plan", "RESULT"),
-                ("find CASE", "ROOM"),
-            }  # a room: its table is missing
+            # A room of `find`: its table is missing.
+            taken_as_well = {("plan", "RESULT"), ("find CASE", "ROOM")}
             if needed and other != word and not {(words[0], other), (taken, other)} & taken_as_well:
                 told = said([*names[:i], name, *names[i + 1 :]])
                 assert f"{name} is {kind}, but {needed[1]} is needed here" in told, (names, name)
@@ -267,12 +254,6 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
         exchanged[i], exchanged[k] = names[k], names[i]
         advice = said(exchanged).partition("Exchange the two files: rtcal ")[2].strip()
         assert advice == " ".join(names)
-
-
-def test_an_empty_value_is_missing(run) -> None:
-    done = run(ROOM, TIMES.replace("0.8", ""))
-    assert done.returncode == 0, done.stderr
-    assert "1000 Hz: no T was measured, so the band is not calibrated" in done.stdout
 
 
 def test_terms_that_set_contradicting_bounds_are_named() -> None:

@@ -11,30 +11,22 @@ import pytest
 import rtcal as rt
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
 def bras(folder: Path, name: str, which: str) -> tuple[rt.Room, np.ndarray]:
     """The room with its ``initial`` or ``fitted`` coefficients, and its measured T20."""
-    bras_folder = folder / "bras"
-    room = next(r for r in read(bras_folder / "rooms.csv") if r["room"] == name)
-    measured = next(
-        r
-        for r in read(bras_folder / "measured_third_octave.csv")
-        if r["room"] == name and r["parameter"] == "T20"
-    )
+
+    def rows(table: str, **stated: str) -> list[dict[str, str]]:
+        with (folder / "bras" / f"{table}.csv").open(newline="", encoding="utf-8") as stream:
+            return [
+                r for r in csv.DictReader(stream) if r.items() >= {"room": name, **stated}.items()
+            ]
+
+    (room,) = rows("rooms")
+    (measured,) = rows("measured_third_octave", parameter="T20")
     bands = [c for c in measured if c.isdigit()]
-    areas = {
-        r["material"]: float(r["area_m2"])
-        for r in read(bras_folder / "surfaces.csv")
-        if r["room"] == name
-    }
+    areas = {r["material"]: float(r["area_m2"]) for r in rows("surfaces")}
     alpha = {
         r["material"]: [float(r[b]) for b in bands]
-        for r in read(bras_folder / "absorption_third_octave.csv")
-        if r["room"] == name and r["set"] == which
+        for r in rows("absorption_third_octave", set=which)
     }
     values = np.array([alpha[m] for m in areas])
     made = rt.Room(
@@ -58,13 +50,6 @@ def test_fitted_coefficients_give_the_measured_t20(shared_data: Path, name: str)
     np.testing.assert_allclose(rt.Eyring().reverberation_time(room), t20, rtol=0.007)
 
 
-@pytest.mark.parametrize(("name", "error"), [("CR2", 0.34), ("CR3", 0.28)])
-def test_initial_coefficients_miss_by_a_third(shared_data: Path, name: str, error: float) -> None:
-    room, t20 = bras(shared_data, name, "initial")
-    off = np.mean(np.abs(rt.Eyring().reverberation_time(room) / t20 - 1))
-    assert off == pytest.approx(error, abs=0.005)
-
-
 @pytest.mark.parametrize("name", ["CR2", "CR3"])
 def test_calibration_meets_every_reachable_band(shared_data: Path, name: str) -> None:
     room, t20 = bras(shared_data, name, "initial")
@@ -82,9 +67,7 @@ def test_a_band_beyond_reach_is_named_and_the_others_are_met(shared_data: Path) 
     """At 63 times the measured T no coefficients of 0 or more would do."""
     room, t20 = bras(shared_data, "CR2", "initial")
     t20[-1] *= 63
-    with pytest.raises(
-        rt.errors.InfeasibleError, match=r"T\[16000 Hz\] = 23.27 s cannot be reached"
-    ):
+    with pytest.raises(rt.errors.InfeasibleError, match=r"T\[16000 Hz\] = 23.27 s"):
         rt.calibrate(room, t20)
     result = rt.calibrate(room, t20, unreachable="nearest")
     assert [u.frequency for u in result.unreachable] == [16000]

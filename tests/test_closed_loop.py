@@ -11,7 +11,6 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.datasets import halls
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import External, of_equation
-from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError, SimulatorError
 
 
@@ -77,15 +76,6 @@ def test_alpha_is_simulated_as_the_program_reads_it(cr2):
     assert set(result.status) == {"converged"}
 
 
-def test_what_cannot_be_reached_is_said(cr2):
-    room, measured = cr2
-    slow = External(room=room, run=lambda alpha, seed: np.full(room.n_bands, 30.0), name="a cave")
-    result = calibrate_simulator(slow, room, measured)
-    assert set(result.status) == {"unreachable"}
-    dead = External(room=room, run=lambda alpha, seed: np.full(room.n_bands, 0.01), name="a box")
-    assert set(calibrate_simulator(dead, room, measured).status) == {"unreachable"}
-
-
 def test_after_is_simulated_with_the_coefficients_returned(cr2):
     """The first step stays the nearest: what is reported is its gap, not the last step's."""
     room, measured = cr2
@@ -101,17 +91,6 @@ def test_after_is_simulated_with_the_coefficients_returned(cr2):
     assert result.alpha == pytest.approx(first[0])
     assert result.gap == pytest.approx(2.0)  # 10 % in JND of 5 %
     assert gap_jnd(result.after.mean("t20"), wanted) == pytest.approx(2.0)
-
-
-def test_a_band_without_t_keeps_its_prior(cr2):
-    room, measured = cr2
-    values = np.array(measured.mean("t30"))
-    values[2] = np.nan
-    partial = rt.Measurement.from_values(measured.centre_frequencies, t30=values)
-    result = calibrate_simulator(bent(room, 0.9, 1.0), room, partial)
-    assert result.status[2] == "no measured T"
-    assert result.alpha[:, 2] == pytest.approx(room.alpha[:, 2])
-    assert {s for k, s in enumerate(result.status) if k != 2} == {"converged"}
 
 
 def test_the_loop_goes_on_from_a_file(cr2, tmp_path):
@@ -131,18 +110,6 @@ def test_the_loop_goes_on_from_a_file(cr2, tmp_path):
     assert loop.finished
     for mine, step in zip(loop.steps, whole.steps, strict=True):
         assert mine.alpha == pytest.approx(step.alpha, rel=1e-9)
-
-
-def test_a_path_tracer_is_calibrated():
-    hall = halls.lecture_hall()
-    points = {"sources": {"S1": hall.sources["S1"]}, "receivers": hall.receivers}
-    tracer = PathTracing(geometry=hall.geometry, room=hall.room, **points, n_paths=8000)
-    measured = tracer.simulate(0.7 * hall.room.alpha, seed=77)
-    result = calibrate_simulator(tracer, hall.room, measured)
-    assert set(result.status) == {"converged"}
-    assert result.rule == "safeguarded"
-    assert result.simulations <= 4
-    assert result.confirmation is not None
 
 
 def noisy(room, stated, fresh):
@@ -199,12 +166,8 @@ def dead_above(room, limit):
 
 def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
     room, measured = cr2
-    mean = (
-        room.areas
-        @ calibrate_simulator(of_equation(rt.Eyring(), room), room, measured).alpha[:, 0]
-        / room.total_area
-    )
-    stated = room.areas @ room.alpha[:, 0] / room.total_area
+    reached = calibrate_simulator(of_equation(rt.Eyring(), room), room, measured)
+    mean, stated = (room.areas @ a[:, 0] / room.total_area for a in (reached.alpha, room.alpha))
     assert stated < 0.9 * mean
     with pytest.raises(SimulatorError, match="finite time above 0"):
         calibrate_simulator(dead_above(room, 0.9 * stated), room, measured)
@@ -215,45 +178,20 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
     reached = room.areas @ result.alpha[:, 0] / room.total_area
     assert mean < reached <= 1.2 * mean
     assert result.simulations > len(result.steps)  # the calls without a T20 count
-    everywhere = External(
-        room=room,
-        name="gone",
-        run=lambda alpha, seed: (
-            dead_above(room, mean * 1.2).run(alpha, seed)[:1].repeat(room.n_bands)
-        ),
-    )
+    dead = dead_above(room, 1.2 * mean)
+    everywhere = replace(dead, run=lambda alpha, seed: dead.run(alpha, seed)[:1].repeat(6))
     with pytest.raises(SimulatorError, match="finite time above 0"):
         calibrate_simulator(everywhere, room, measured)
 
 
 def test_absurd_coefficients_are_marked(cr2):
     room, measured = cr2
-    lively = External(
-        room=room,
-        name="lively",
-        run=lambda alpha, seed: 4 * rt.Eyring().time(room, room.areas @ alpha),
-    )
-    result = calibrate_simulator(lively, room, measured)
-    assert set(result.status) == {"converged"}
-    implausible = [m for m in result.trust_marks if m.kind == "implausible"]
-    assert len(implausible) == room.n_bands
+    result = calibrate_simulator(bent(room, 4, 1), room, measured)
+    assert len([m for m in result.trust_marks if m.kind == "implausible"]) == room.n_bands
     plain = calibrate_simulator(of_equation(rt.Eyring(), room), room, measured)
     marked = {m.frequency for m in plain.trust_marks if m.kind == "implausible"}
     z = rt.calibrate(room, measured.mean("t30")).plausibility.z
     assert marked == set(room.centre_frequencies[np.abs(z) > 2])
-
-
-def test_the_last_room_is_each_bands_best_step(cr2):
-    room, measured = cr2
-    factors = np.where(np.arange(room.n_bands) == 2, 1.5, 1.04)
-    loop = closed_loop.start(room, measured)
-    while not loop.finished:
-        alpha = loop.next_alpha
-        times = factors * rt.Eyring().time(room, room.areas @ alpha)
-        loop = loop.record(alpha, rt.Measurement.from_values(room.centre_frequencies, t20=times))
-    assert loop.simulations == len(loop.steps)
-    for k, b in enumerate(loop.best):
-        assert np.array_equal(loop.next_alpha[:, k], loop.steps[b].alpha[:, k])
 
 
 # The compromise of T20 and EDT (the paper's Sect. 4.3.2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -68,22 +70,12 @@ def test_pairs_that_differ_by_noise_alone_share_what_the_other_model_adds():
     of_pair = np.linspace(-1, 1, len(PAIRS))[:, np.newaxis]
     spread = []
     for factor in (0.0, 1.0):
-        moved = with_errors(made, made.errors + 0.1 * vector * (1 + factor * of_pair))
+        moved = replace(made, errors=made.errors + 0.1 * vector * (1 + factor * of_pair))
         added = errors_by_scattering(moved, np.full((2, 3), 0.2**2)).of_model
         assert added.mean() == pytest.approx(0.1, abs=0.01)
         spread.append(np.ptp(added.mean(axis=(0, 2))))
     assert spread[0] < 0.02
     assert spread[1] == pytest.approx(2 * 0.1, rel=0.15)
-
-
-def with_errors(made, errors):
-    return ControlRuns(
-        parameters=made.parameters,
-        pairs=made.pairs,
-        errors=errors,
-        levels=made.levels,
-        models=made.models,
-    )
 
 
 def test_an_error_may_grow_where_little_is_scattered():
@@ -92,7 +84,7 @@ def test_an_error_may_grow_where_little_is_scattered():
     growth = np.ones((RUNS, 2))
     growth[:, 0] = made.levels.mean() / made.levels  # of T20, not of EDT
     slope = 2 * columns[:, 2, np.newaxis, np.newaxis, np.newaxis]
-    grown = with_errors(made, made.errors * growth[:, :, np.newaxis, np.newaxis] + slope)
+    grown = replace(made, errors=made.errors * growth[:, :, np.newaxis, np.newaxis] + slope)
     fit = errors_by_scattering(grown, np.zeros((2, 3)))
     variances = [
         np.diag(fit.covariance(level, "random")).reshape(2, -1).mean(axis=1)
@@ -109,13 +101,7 @@ def test_a_control_run_far_from_all_others_counts_little():
     for factor in (1.0, 30.0):
         errors = made.errors[:16].copy()
         errors[5] *= factor
-        few = ControlRuns(
-            parameters=made.parameters,
-            pairs=PAIRS,
-            errors=errors,
-            levels=made.levels[:16],
-            models=made.models[:16],
-        )
+        few = replace(made, errors=errors, levels=made.levels[:16], models=made.models[:16])
         fit = errors_by_scattering(few, np.zeros((2, 3)))
         variances.append(np.diag(fit.covariance(0.475, "random")).mean())
     usual, with_one = variances

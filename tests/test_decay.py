@@ -65,30 +65,12 @@ def test_pyrato_agrees_on_a_noisy_decay() -> None:
         assert observables.parameters(energy, 1 / rate)[name] == pytest.approx(expected, abs=0.02)
 
 
-def test_batches_are_taken_one_by_one() -> None:
-    rng = np.random.default_rng(0)
-    energy = rng.random((3, 2, 4000)) * exponential(0.25, 1e-4, 1.6)
-    together = observables.parameters(energy, 1e-4)
-    for name, value in together.items():
-        assert value.shape == (3, 2)
-        assert value[2, 1] == pytest.approx(float(observables.parameters(energy[2, 1], 1e-4)[name]))
-
-
-def test_the_level_of_what_is_cut_off() -> None:
-    assert observables.cut_off_db(exponential(1.0, 1e-4, 0.7)) == pytest.approx(-42, abs=0.01)
-
-
 @pytest.mark.parametrize(("length", "short"), [(0.3, True), (0.6, True), (0.7, False)])
 def test_too_short_is_said(length: float, short: bool) -> None:
     energy = exponential(1.0, 1e-4, length)
     assert bool(observable("t20").too_short(energy)) is short
     assert bool(np.isnan(observable("t20").value(energy, 1e-4))) is short
-    if short:
-        with pytest.raises(TooShortError, match=r"S to R, 1000 Hz is too short for T20"):
-            rt.Measurement.from_decays(
-                energy[np.newaxis, np.newaxis], 1e-4, np.array([1000.0]), [("S", "R")]
-            )
-    else:  # what the margin lets pass
+    if not short:  # what the margin lets pass
         assert observable("t20").value(energy, 1e-4) == pytest.approx(1.0, rel=0.004)
 
 
@@ -99,17 +81,17 @@ def test_a_slow_late_part_is_seen() -> None:
     assert observable("t20").too_short(energy)
 
 
-def test_one_short_pair_is_not_averaged_away() -> None:
-    energy = np.stack([exponential(0.5, 1e-4, 1.6), exponential(4.0, 1e-4, 0.2)])[:, np.newaxis]
-    with pytest.raises(TooShortError, match="S to B"):
+@pytest.mark.parametrize(
+    ("second", "error", "said"),
+    [
+        (exponential(4.0, 1e-4, 0.2), TooShortError, "S to B"),  # not averaged away
+        (np.eye(1, 8000)[0], DataError, "too little sound is reflected"),
+    ],
+)
+def test_a_pair_without_a_decay_is_named(second, error, said) -> None:
+    energy = np.stack([exponential(0.5, 1e-4, 1.6), second])[:, np.newaxis]
+    with pytest.raises(error, match=said):
         rt.Measurement.from_decays(energy, 1e-4, np.array([500.0]), [("S", "A"), ("S", "B")])
-
-
-def test_nothing_reflected_is_no_decay() -> None:
-    energy = np.zeros((1, 1, 100))
-    energy[..., 0] = 1
-    with pytest.raises(DataError, match="too little sound is reflected"):
-        rt.Measurement.from_decays(energy, 1e-3, np.array([500.0]), [("S", "R")])
 
 
 def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
@@ -144,15 +126,6 @@ def test_the_double_slope_of_the_issue_is_bent() -> None:
     (bent,) = bent_decays(measured)
     assert bent.frequency == 1000
     assert bent.text == "the decay is curved, curvature T30/T20 - 1 = +38 %, EDT/T20 - 1 = -42 %"
-
-
-def test_only_positions_with_both_parameters_count() -> None:
-    measured = rt.Measurement(
-        centre_frequencies=np.array([1000.0]),
-        pairs=[("S1", "R1"), ("S1", "R2")],
-        values={"t20": np.array([[1.0], [np.nan]]), "t30": np.array([[1.0], [3.0]])},
-    )
-    assert bent_decays(measured) == ()
 
 
 def test_straight_decays_are_seldom_flagged() -> None:

@@ -18,7 +18,7 @@ from rtcal.prediction import (
 )
 from rtcal.prediction.designed import can_be_had, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
-from tests.conftest import also, in_order
+from tests.conftest import also, room_of
 
 BANDS = [250.0, 500.0, 1000.0]
 
@@ -28,16 +28,12 @@ BASS = rt.Material("bass", [0.6, 0.4, 0.2], [0.1] * 3)
 
 
 def a_room() -> rt.Room:
-    return rt.Room(
-        name="classroom",
-        volume=180,
-        materials=["wall", "floor", "ceiling"],
-        areas=[100, 60, 60],
-        alpha=[[0.06, 0.05, 0.05], [0.05, 0.06, 0.08], [0.1, 0.08, 0.08]],
-        sigma=np.full((3, 3), 0.02),
-        centre_frequencies=BANDS,
-        air=rt.Air(20, 50),
-    )
+    materials = {
+        "wall": (100, [0.06, 0.05, 0.05], 0.02),
+        "floor": (60, [0.05, 0.06, 0.08], 0.02),
+        "ceiling": (60, [0.1, 0.08, 0.08], 0.02),
+    }
+    return room_of(materials, BANDS, 180, air=rt.Air(20, 50))
 
 
 def known(room: rt.Room | None = None) -> rt.CalibrationResult:
@@ -54,14 +50,13 @@ TARGET = Target([0.4] * 3, [0.8] * 3)
 
 def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...], Target]:
     """A small room with panels on two surfaces and free pieces; Sabine's equation."""
-    room = rt.Room(
-        name="shop",
-        volume=24,
-        materials=["brick", "boards"],
-        areas=[36, 21],
-        alpha=[[0.04, 0.05, 0.07], [0.2, 0.09, 0.06]],
-        sigma=[[0.02] * 3, [0.04, 0.02, 0.02]],
-        centre_frequencies=BANDS,
+    room = room_of(
+        {
+            "brick": (36, [0.04, 0.05, 0.07], 0.02),
+            "boards": (21, [0.2, 0.09, 0.06], [0.04, 0.02, 0.02]),
+        },
+        BANDS,
+        24,
         air=rt.Air(20, 50),
         volume_sigma=0.04,
         area_sigma=0.03,
@@ -107,21 +102,9 @@ def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None
     area = float(some.areas[0])
     large = replace(TREATMENTS[0], largest=1.1 * area, unit=0.6 * area)
     bought = 2 * large.unit * large.cost
-    said = (
-        f"No number of whole panels .*: {area:.1f} m² of ceiling. The cost is {some.cost:.0f} if "
-    )
-    said += f"a cut panel is paid by its area, and {bought:.0f} if it is paid whole"
+    said = f"No number of whole panels .*: {area:.1f} m² .* {some.cost:.0f} if .* {bought:.0f} if"
     with pytest.raises(InfeasibleError, match=said):
         design(result, [large], target, 0.8)
-
-
-@pytest.mark.long
-def test_the_order_of_materials_changes_nothing() -> None:
-    room = a_room()
-    turned = in_order(room, [2, 1, 0])
-    first, again = (design(known(each), TREATMENTS, TARGET, 0.85) for each in (room, turned))
-    assert again.areas == pytest.approx(first.areas, rel=1e-6)
-    assert again.probability == pytest.approx(first.probability, abs=1e-6)
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -133,8 +116,7 @@ def test_nothing_is_placed_where_nothing_is_needed() -> None:
         found = design(shop, some, Target([np.nan] * 3, high), 0.9)
         assert found.cost == 0
         assert found.areas.tolist() == [0, 0, 0]
-    said = str(found)
-    assert all(words in said for words in ("Nothing is needed", "change / s", "change / %"))
+    assert "Nothing is needed" in str(found)
 
 
 @pytest.mark.usefixtures("few_draws")
@@ -151,18 +133,14 @@ def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None
 
 @pytest.mark.usefixtures("few_draws")
 def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
-    with pytest.raises(InfeasibleError, match="wider by") as error:
+    with pytest.raises(InfeasibleError, match=r"wider by .* at both ends can be met"):
         design(known(), TREATMENTS, Target([0.50] * 3, [0.56] * 3))
-    said = str(error.value)
-    assert "% at both ends can be met" in said
-    assert "The areas that come closest" in said
-    assert "To narrow the interval" in said
     small = tuple(replace(t, largest=3.0) for t in TREATMENTS)
     with pytest.raises(InfeasibleError, match=r"these probabilities by band: .* Hz 0\.00") as error:
         design(known(), small, TARGET)
     assert "already too short" not in str(error.value)
     t = known().known.time
-    with pytest.raises(InfeasibleError, match="T is already too short for this target, and these"):
+    with pytest.raises(InfeasibleError, match="T is already too short for this target"):
         design(known(), TREATMENTS, Target(1.5 * t, 2 * t))
     model = design_model(known(), TREATMENTS, TARGET)
     assert "wider by less than 1 % at both ends" in " ".join(can_be_had(model, 0.8))
@@ -182,13 +160,10 @@ def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
         (lambda: Treatment("x", PANEL, 4, cost=-1), "cost = -1"),
         (lambda: Target([0.8], [0.4]), "must be below"),
         (lambda: Target([np.nan], [np.nan]), "every low and high is missing"),
-        (
-            lambda: Target([0.4], [100.5]),
-            "high = 100.5 s; T of a room must be above 0 and at most 100 s",
-        ),
+        (lambda: Target([0.4], [100.5]), "high = 100.5 s"),
         (
             lambda: design(known(), [Treatment("x", PANEL, 2201, cost=1)], TARGET),
-            'treatment "x": largest: area = 2201 m² is too large: at most 2200 m²',
+            'treatment "x": largest: area = 2201 m² is too large',
         ),
         (lambda: din_18041("A3", 6000, BANDS), "from 30 to 5000"),
         (lambda: din_18041("B1", 100, BANDS), "must be one of A1"),

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 import rtcal as rt
 from rtcal.prediction import Assumptions, Change, changed
 from rtcal.support.types import Array
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 BANDS = np.array([250.0, 1000.0])
 AXES = {"floor": (0, 0, 1), "ceiling": (0, 0, 1), "wall": (0.5, 0.5, 0)}
@@ -27,16 +27,10 @@ def a_room(seed: int) -> tuple[np.random.Generator, rt.CalibrationResult, Array]
     rng = np.random.default_rng([57, 40, seed])
     x, y, z = np.exp(rng.uniform(np.log(3), np.log(8))) * np.array([1.4, 1.1, 0.65])
     alpha = np.clip(np.exp(rng.uniform(np.log(0.01), np.log(0.3), (3, 2))), 0.005, 0.6)
-    room = rt.Room(
-        name=f"room {seed}",
-        volume=x * y * z,
-        materials=list(AXES),
-        areas=[x * y, x * y, 2 * (x + y) * z],
-        alpha=alpha,
-        sigma=np.maximum(rng.uniform(0.2, 0.9, (3, 2)) * alpha, 0.01),
-        centre_frequencies=BANDS,
-        air=rt.Air(20, 50),
-    )
+    sigma = np.maximum(rng.uniform(0.2, 0.9, (3, 2)) * alpha, 0.01)
+    areas = [x * y, x * y, 2 * (x + y) * z]
+    materials = dict(zip(AXES, zip(areas, alpha, sigma, strict=True), strict=True))
+    room = room_of(materials, BANDS, x * y * z, air=rt.Air(20, 50))
     t = rt.Eyring().reverberation_time(room) * np.exp(0.15 * rng.standard_normal(2))
     measured = rt.Measurement(
         centre_frequencies=BANDS,
@@ -146,9 +140,7 @@ def sampled(
 @pytest.mark.parametrize(
     ("seed", "draws"), [(0, 600_000), *also((1, 600_000), *((s, 2_000_000) for s in range(2, 10)))]
 )
-def test_the_probability_is_that_of_importance_sampling_from_the_prior(
-    seed: int, draws: int
-) -> None:
+def test_the_probability_is_that_of_importance_sampling_from_the_prior(seed, draws):
     rng, result, t = a_room(seed)
     changes = some_changes(rng, result.prior)
     made = result.predict(changes)

@@ -25,7 +25,7 @@ def named() -> Diagnosis:
     return rt.diagnose(case, only=FEW, controls=controls_of(case))
 
 
-def test_it_is_what_the_single_steps_give(named: Diagnosis) -> None:
+def test_it_is_what_the_single_steps_give(named):
     case = named.finding.case
     finding = rt.find(case, only=FEW, controls=controls_of(case))
     verified, truth = rt.finder.verify(finding), rt.datasets.hidden_room("identified")[1]
@@ -41,13 +41,11 @@ def test_it_is_what_the_single_steps_give(named: Diagnosis) -> None:
     assert np.array_equal(named.room.alpha[: len(named.calibrated.alpha)], named.calibrated.alpha)
 
 
-def test_saved_it_prints_the_same(named: Diagnosis, tmp_path: Path) -> None:
+def test_saved_it_prints_the_same(named, tmp_path):
     assert str(rt.load(named.save(tmp_path))) == str(named)
 
 
-def test_its_room_has_the_warning_of_apply(
-    named: Diagnosis, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_its_room_has_the_warning_of_apply(named, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="needs the extra report")
     monkeypatch.setattr("rtcal.report.verification_words.misses", lambda _: "Do not simulate.")
     written = contents(named, tmp_path)
@@ -55,7 +53,7 @@ def test_its_room_has_the_warning_of_apply(
 
 
 @pytest.mark.long
-def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -> None:
+def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept):
     case, _ = rt.datasets.hidden_room("not_identified")
     result = rt.diagnose(case, cache=kept)
     assert result.corrected is None
@@ -71,11 +69,8 @@ def test_where_nothing_is_missing_the_model_is_calibrated_as_given(kept: Path) -
 @pytest.mark.long
 @pytest.mark.usefixtures("runs_kept")
 def test_the_command_writes_one_folder_that_apply_and_report_read(
-    kept: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    kept, tmp_path, monkeypatch, capsys
+):
     pytest.importorskip("matplotlib", reason="needs the extra report")
     monkeypatch.chdir(tmp_path)
     named = rt.diagnose(rt.datasets.hidden_room("identified")[0], cache=kept)
@@ -92,7 +87,7 @@ def test_the_command_writes_one_folder_that_apply_and_report_read(
 
 
 @pytest.mark.long
-def test_at_positions_the_corrected_model_is_fitted(tmp_path: Path, kept: Path) -> None:
+def test_at_positions_the_corrected_model_is_fitted(tmp_path, kept):
     for name, content in rt.datasets.examples.example("diagnose").files.items():
         (tmp_path / name).write_bytes(content)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))

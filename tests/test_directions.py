@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.acoustics.changes import enough_known, facing, kind_of
 from rtcal.acoustics.room import Surface
 from rtcal.simulators.geometry import Polyhedron
-from tests.conftest import in_order
+from tests.conftest import room_of
 
 SIDES = (6.4, 8.2, 3.4)
 X, Y, Z = 8.2 * 3.4, 6.4 * 3.4, 6.4 * 8.2
@@ -94,31 +94,6 @@ def test_areas_are_matched_to_the_faces_of_the_box(areas: list[float], known: li
     assert np.isfinite(facing(stated)).all(axis=1).tolist() == known
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
-def test_the_order_of_materials_changes_no_direction(order: tuple[int, ...]) -> None:
-    rows = list(order)
-    for name, stated in WAYS.items():
-        if stated.surfaces:
-            continue
-        changed = in_order(stated, rows)
-        assert np.allclose(facing(changed), facing(stated)[rows]), name
-
-
-def test_objects_beside_the_box_need_no_direction() -> None:
-    """Chairs are no faces: their directions are not known, and the room's are."""
-    alpha = np.array([FLOOR, CEILING, WALLS, [0.2] * 4])
-    stated = room(
-        ["m1", "m2", "m3", "chairs"],
-        dimensions=SIDES,
-        areas=[Z, Z, 2 * (X + Y), 20.0],
-        alpha=alpha,
-        sigma=0.15 * alpha,
-    )
-    found = facing(stated)
-    assert np.isfinite(found).all(axis=1).tolist() == [True, True, True, False]
-    assert enough_known(stated, found)
-
-
 @pytest.mark.parametrize(
     ("name", "kind"),
     [
@@ -139,30 +114,8 @@ def test_names_that_say_floor_ceiling_or_wall(name: str, kind: str | None) -> No
 
 
 def a_room(names, areas, **more) -> rt.Room:
-    return rt.Room(
-        name="box",
-        volume=60,
-        materials=names,
-        areas=areas,
-        alpha=[[0.1]] * len(names),
-        sigma=[[0.02]] * len(names),
-        centre_frequencies=[1000],
-        **more,
-    )
-
-
-def test_what_nothing_says_is_unknown() -> None:
-    room = a_room(["lino", "plaster"], [20, 74])
-    assert np.isnan(facing(room)).all()
-    assert np.isnan(facing(a_room(["lino", "plaster"], [17, 77], dimensions=(4, 5, 3)))).all()
-    partly = [rt.Surface("a", "plaster", 30, "x"), rt.Surface("b", "plaster", 44)]
-    found = facing(room.replace(surfaces=[*partly, rt.Surface("c", "lino", 20, "z")]))
-    assert found[0].tolist() == [0, 0, 1]
-    assert np.isnan(found[1]).all()
-    # "floor" must stand for itself: neither a material that names both, nor a part of a word.
-    both = a_room(["floor and ceiling edge", "walls of the floor"], [20, 74])
-    assert facing(both)[0].tolist() == [0, 0, 1]
-    assert np.isnan(facing(both)[1]).all()
+    materials = {name: (area, 0.1, 0.02) for name, area in zip(names, areas, strict=True)}
+    return room_of(materials, [1000], 60, **more)
 
 
 def test_an_oblique_face_counts_by_its_normal() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import quad
+from scipy.linalg import expm
 from scipy.stats import chi2, multivariate_t
 
 import rtcal as rt
@@ -45,7 +45,7 @@ from rtcal.finder.means.problem import (
 from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -66,26 +66,13 @@ def made(**changes: object) -> RoomState:
 
 
 def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
-    room = rt.Room(
-        name="hall",
-        volume=300,
-        materials=["a", "b", "c", "d"],
-        areas=AREAS,
-        alpha=ALPHA,
-        sigma=0.02 + 0.05 * ALPHA,
-        centre_frequencies=F,
-        band_correlation=0.7,
-        air=rt.Air(20, 50),
-    )
-    values = {"t20": t20[None], **{k: v[None] for k, v in more.items()}}
-    measured = rt.Measurement(
-        centre_frequencies=F,
-        values=values,
-        uncertainty={
-            k: (0.02 * v if k in ("t20", "edt", "t30") else np.full_like(v, 0.3))
-            for k, v in values.items()
-        },
-    )
+    sigma = 0.02 + 0.05 * ALPHA
+    materials = dict(zip("abcd", zip(AREAS, ALPHA, sigma, strict=True), strict=True))
+    room = room_of(materials, F, 300, name="hall", band_correlation=0.7, air=rt.Air(20, 50))
+    values = {k: v[None] for k, v in {"t20": t20, **more}.items()}
+    times = ("t20", "edt", "t30")
+    u = {k: 0.02 * v if k in times else np.full_like(v, 0.3) for k, v in values.items()}
+    measured = rt.Measurement(centre_frequencies=F, values=values, uncertainty=u)
     return Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
 
 
@@ -106,7 +93,7 @@ def alpha_covariance(predicted: MeansHypotheses, i: int) -> np.ndarray:
     return np.asarray(full.reshape(count * kinds * n, -1))
 
 
-def test_the_state_is_the_equation() -> None:
+def test_the_state_is_the_equation():
     case = case_with(np.ones(7))
     for name in ("eyring", "sabine", "millington"):
         one = state(replace(case, equation=name), case.configurations[0])
@@ -117,7 +104,7 @@ def test_the_state_is_the_equation() -> None:
 
 
 @pytest.mark.parametrize("equation", ["eyring", "sabine", "millington", "kuttruff"])
-def test_sensitivity_is_the_derivative_of_the_rate(equation: str) -> None:
+def test_sensitivity_is_the_derivative_of_the_rate(equation):
     base = made(equation=equation)
     for i in range(4):
         alpha = ALPHA.copy()
@@ -126,7 +113,7 @@ def test_sensitivity_is_the_derivative_of_the_rate(equation: str) -> None:
         np.testing.assert_allclose(sensitivities([base])[0, i], slope, rtol=1e-4)
 
 
-def test_one_exponential_has_no_shape_and_a_known_level() -> None:
+def test_one_exponential_has_no_shape_and_a_known_level():
     one = predict([made()], np.array([6.0])).features[0]
     np.testing.assert_allclose(np.exp(one[0]), 6 * np.log(10) / made().rate, rtol=1e-12)
     np.testing.assert_array_equal(one[1:3], 0)
@@ -140,16 +127,7 @@ def test_one_exponential_has_no_shape_and_a_known_level() -> None:
     )
 
 
-def decay_times(t: np.ndarray, left: np.ndarray) -> list[float]:
-    level = 10 * np.log10(left / left[0])
-    out = []
-    for low, high in ((-5, -25), (0, -10), (-5, -35)):
-        here = (level <= low) & (level >= high)
-        out.append(-60 / np.polyfit(t[here], level[here], 1)[0])
-    return out
-
-
-def test_coupled_rooms_follow_their_energy_balance() -> None:
+def test_coupled_rooms_follow_their_energy_balance():
     one = made()
     decay = CoupledDecay.together([one], [CoupledDecay(10.0, 500.0, 0.05)])
     c, s1 = 343.2, one.covered(10.0, np.ones(7)).rate
@@ -157,26 +135,21 @@ def test_coupled_rooms_follow_their_energy_balance() -> None:
     a2 = -np.log1p(-0.05) * 6 * 500 ** (2 / 3) + 4 * 1e-3 * 500 + 10
     back = c * 10 / 4
 
-    def balance(_: float, e: np.ndarray) -> list[float]:
-        return [
-            -s1[band] * e[0] + back / 300 * e[1],
-            back / 500 * e[0] - c * a2 / (4 * 500) * e[1],
-        ]
-
+    balance = [[-s1[band], back / 300], [back / 500, -c * a2 / (4 * 500)]]
     t = np.linspace(0, 2, 50)
-    solved = solve_ivp(balance, (0, 2), [1 / 300, 0], t_eval=t, rtol=1e-9, atol=1e-14).y[0]
+    solved = np.array([expm(np.multiply(balance, at))[0, 0] / 300 for at in t])
     weights, rates = decay.weights[0, band], decay.rates[0, band]
     np.testing.assert_allclose((weights * np.exp(-np.outer(t, rates))).sum(1), solved, rtol=1e-5)
 
 
-def test_a_dead_second_room_is_an_opening() -> None:
+def test_a_dead_second_room_is_an_opening():
     dead = predict([made(shape=CoupledDecay(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
     hole = predict([made().covered(10.0, np.ones(7))], np.array([6.0])).features[0]
     np.testing.assert_allclose(dead, hole, atol=2e-3)
     assert (np.abs(hole[0] - predict([made()], np.array([6.0])).features[0, 0]) > 0.1).all()
 
 
-def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direction() -> None:
+def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direction():
     even = predict([made()], np.array([6.0])).features[0]
     much = predict([made(shape=DirectionalDecay(50.0))], np.array([6.0])).features[0]
     np.testing.assert_allclose(much[:3], even[:3], atol=0.02)
@@ -186,7 +159,7 @@ def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direct
     assert (little[2] > 0.01).all()
 
 
-def test_noise_lengthens_what_is_read_low_in_the_decay() -> None:
+def test_noise_lengthens_what_is_read_low_in_the_decay():
     quiet, loud = (
         predict([made(floor_db=level)], np.array([6.0])).features[0] for level in (-120.0, -55.0)
     )
@@ -197,12 +170,17 @@ def test_noise_lengthens_what_is_read_low_in_the_decay() -> None:
     k = made().rate[2]
     t = np.linspace(0, 2 * 6 * np.log(10) / k, 40001)[:-1]
     left = np.exp(-k * t) / k + 10**-5.5 * (t[-1] + t[1] - t)
-    t20, edt, t30 = decay_times(t, left)
+    level = 10 * np.log10(left / left[0])
+    t20, edt, t30 = (
+        -60 / np.polyfit(t[here], level[here], 1)[0]
+        for low, high in ((-5, -25), (0, -10), (-5, -35))
+        for here in [(level <= low) & (level >= high)]
+    )
     np.testing.assert_allclose(loud[:3, 2], np.log([t20, edt / t20, t30 / t20]), atol=2e-3)
     assert loud[2, 2] > 0.01
 
 
-def test_porous_is_miki_s_layer() -> None:
+def test_porous_is_miki_s_layer():
     d, sigma = 0.05, 12e3
 
     def alpha(f: float) -> float:
@@ -226,7 +204,7 @@ def test_porous_is_miki_s_layer() -> None:
     assert found[4] > 0.8
 
 
-def test_a_resonator_peaks_at_its_resonance() -> None:
+def test_a_resonator_peaks_at_its_resonance():
     found = Resonator().spectrum(F, {"resonance": 250.0, "quality": 2.0})
     assert np.argmax(found) == 1
     assert found[1] == pytest.approx(
@@ -234,7 +212,7 @@ def test_a_resonator_peaks_at_its_resonance() -> None:
     )
 
 
-def test_evidence_is_the_normal_density() -> None:
+def test_evidence_is_the_normal_density():
     t20 = 6 * np.log(10) / made().rate
     case = case_with(1.1 * t20, edt=1.05 * t20, c80=np.linspace(1, 5, 7))
     observed, _ = observe(case)
@@ -288,7 +266,7 @@ def test_evidence_is_the_normal_density() -> None:
     assert np.exp(predicted.log_weights[1:]).sum() == pytest.approx(1)
 
 
-def test_the_bias_is_the_mean_of_those_who_know_it_and_of_the_model() -> None:
+def test_the_bias_is_the_mean_of_those_who_know_it_and_of_the_model():
     case = case_with(np.ones(7))
     rng = np.random.default_rng(2)
     tracing, images, further = (
@@ -311,18 +289,14 @@ def test_the_bias_is_the_mean_of_those_who_know_it_and_of_the_model() -> None:
     np.testing.assert_array_equal(third.errors, further.errors)
 
 
-def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
+def test_the_prior_s_covariance_is_what_drawn_coefficients_give():
     case = case_with(np.ones(7))
     rng = np.random.default_rng(3)
     lag = np.abs(np.subtract.outer(np.arange(7), np.arange(7)))
     z = rng.standard_normal((4000, 4, 7)) @ np.linalg.cholesky(0.7**lag).T
     small = 0.1  # of sigma, so that the linear model holds
-    drawn = np.array(
-        [
-            np.log(made(alpha=ALPHA + small * case.room.sigma * one, air=np.zeros(7)).rate)
-            for one in z
-        ]
-    )
+    moved = ALPHA + small * case.room.sigma * z
+    drawn = np.log([made(alpha=alpha, air=np.zeros(7)).rate for alpha in moved])
     dry = replace(case, room=case.room.replace(air=None))
     (variance,), (common,) = predict_hypotheses(dry, []).log_time_errors(slice(0, 1))
     # 4,000 draws: a variance is known to 2.2 %.
@@ -330,17 +304,13 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give() -> None:
 
 
 def opened(area: float = 15.0) -> Case:
-    t20 = 6 * np.log(10) / made().rate
-    base = case_with(t20)
-    room = base.room
-    open_state = replace(
-        made(air=room.air_attenuation, speed_of_sound=room.speed_of_sound)
-    ).covered(area, np.ones(7))
-    times = 6 * np.log(10) / open_state.rate
+    room = case_with(np.ones(7)).room
+    state = made(air=room.air_attenuation, speed_of_sound=room.speed_of_sound)
+    times = 6 * np.log(10) / state.covered(area, np.ones(7)).rate
     return case_with(times, edt=times, t30=times)
 
 
-def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
+def test_an_opening_is_found_added_and_its_alpha_left_alone():
     case = opened(25.0)
     finding = find(case, effects=[Opening()], controls=controls_of(case))
     assert finding.verdict == "named"
@@ -367,7 +337,7 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone() -> None:
         nothing.apply()
 
 
-def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
+def test_added_twice_is_added_once_and_survives_a_file(tmp_path):
     case = opened()
     finding = find(case, effects=[Opening()], controls=controls_of(case))
     corrected = finding.apply().case
@@ -382,24 +352,20 @@ def test_added_twice_is_added_once_and_survives_a_file(tmp_path: Path) -> None:
     assert find(corrected, effects=[Opening()], controls=controls_of(case)).verdict == "none"
 
 
-def test_geometry_betrays_nothing() -> None:
+def test_geometry_betrays_nothing():
     """A volume and a T that are both x times as large say the same, whatever the areas are."""
     case = opened()
     dry = replace(case, room=case.room.replace(air=None))
     first = dry.configurations[0]
+    longer = replace(
+        first.measured,
+        values={k: 1.3 * v for k, v in first.measured.values.items()},
+        uncertainty={k: 1.3 * v for k, v in first.measured.uncertainty.items()},
+    )
     large = replace(
         dry,
         room=dry.room.replace(volume=1.3 * dry.room.volume),
-        configurations=[
-            replace(
-                first,
-                measured=replace(
-                    first.measured,
-                    values={k: 1.3 * v for k, v in first.measured.values.items()},
-                    uncertainty={k: 1.3 * v for k, v in first.measured.uncertainty.items()},
-                ),
-            )
-        ],
+        configurations=[replace(first, measured=longer)],
     )
     effects = [Opening(), WrongArea(), WrongVolume()]
     one, other = (find(c, effects=effects, controls=controls_of(c)) for c in (dry, large))
@@ -417,7 +383,7 @@ class Organ(Absorber):
         return np.interp(frequencies, [125, 500, 8000], [0.6, 0.4, 0.2])
 
 
-def test_the_plan_knows_what_cannot_be_distinguished() -> None:
+def test_the_plan_knows_what_cannot_be_distinguished():
     case = opened()
     made_plan = plan(case.only("t20"))
     assert made_plan.separations["opening", "coupled room"] < 2.3
@@ -425,26 +391,6 @@ def test_the_plan_knows_what_cannot_be_distinguished() -> None:
     for name in ("furniture", "people"):
         assert made_plan.separations[name, "opening"] < 2.3
     json.dumps(made_plan.to_dict())
-
-
-@pytest.mark.long
-def test_the_plan_says_what_change_of_t_each_size_makes() -> None:
-    """Without air T is proportional to the volume, whatever the walls: a ratio is its own change."""
-    case = opened().only("t20")
-    case = replace(case, room=case.room.replace(air=None))
-    as_built = case.configurations[0]
-    removed = replace(as_built, name="taken away", suspect_removed=True)
-    # First in the list is a configuration where T is as if nothing were there.
-    case = replace(case, configurations=[removed, as_built])
-    offs = np.array([abs(p["ratio"] - 1) for p in WrongVolume().grid(made())])
-    for change in (0.02, 0.2, 1.0):
-        planned = plan(case, change=change)
-        nearest = offs[np.argmin(np.abs(offs - change))]
-        assert planned.reached["volume"] == pytest.approx(nearest, rel=1e-6)
-        assert planned.to_dict()["reached"] == planned.reached
-        assert planned.reached["direct sound"] == 0
-        # An effect that can be taken away has its size from where it is there.
-        assert 0.01 < planned.reached["opening"] < 1
 
 
 def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Finding:
@@ -461,7 +407,7 @@ def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Findi
 
 @pytest.mark.long
 @pytest.mark.parametrize("share", [0.25, 0.35])
-def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: float) -> None:
+def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share):
     """An absorber on a quarter of all surfaces was a hint: T was less than half the model's."""
     finding = absorbing_room(share, alike=False, shape=False)
     assert finding.verdict == "family"
@@ -472,9 +418,7 @@ def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: fl
 
 @pytest.mark.parametrize("shape", [True, *also(False)])
 @pytest.mark.parametrize("share", [0.35, *also(0.25)])
-def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
-    share: float, *, shape: bool
-) -> None:
+def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(share, *, shape):
     """With EDT and T30 it had been a family, as if the straight decay showed an absorber."""
     finding = absorbing_room(share, alike=True, shape=shape)
     assert finding.verdict not in ("named", "family")
@@ -482,7 +426,7 @@ def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
 
 
 @pytest.mark.long
-def test_a_noise_floor_that_makes_t_many_times_longer_is_named() -> None:
+def test_a_noise_floor_that_makes_t_many_times_longer_is_named():
     """T20 is 2.9 times the model's: the decay's bend tells a noise floor from a mistake."""
     case = opened()
     noisy = [replace(state(case, c), floor_db=-32.0) for c in case.configurations]
@@ -494,7 +438,7 @@ def test_a_noise_floor_that_makes_t_many_times_longer_is_named() -> None:
     assert (finding.verdict, finding.effect) == ("named", "noise floor"), finding.reasons
 
 
-def test_surprise_is_chi_square_s() -> None:
+def test_surprise_is_chi_square_s():
     case = opened()
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening()])
@@ -509,29 +453,22 @@ def test_surprise_is_chi_square_s() -> None:
     assert probability == pytest.approx(chi2.sf(square, len(off)), rel=1e-9)
 
 
-def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
+def test_bands_without_a_trustworthy_t_are_dropped_and_named():
     case = opened()
     first = case.configurations[0]
     values = {k: v.copy() for k, v in first.measured.values.items()}
     values["t20"][0, 0] = np.nan
     u = {k: v.copy() for k, v in first.measured.uncertainty.items()}
     u["t20"][0, 1] = 0.5 * values["t20"][0, 1]
-    worse = replace(
-        case,
-        configurations=[
-            replace(first, measured=replace(first.measured, values=values, uncertainty=u))
-        ],
-    )
-    observed, notes = observe(worse)
+    worse = replace(first, measured=replace(first.measured, values=values, uncertainty=u))
+    observed, notes = observe(replace(case, configurations=[worse]))
     assert not observed.used[0, :, :2].any()
     assert observed.used[0, 0, 2:].all()
     assert any("is left out: it has neither T20" in str(n) for n in notes)
-    assert any(
-        '250 Hz of "as built" is left out: the uncertainty of T is 50 %' in str(n) for n in notes
-    )
+    assert any('250 Hz of "as built" is left out' in str(n) for n in notes)
 
 
-def test_a_case_too_large_is_refused_before_the_work() -> None:
+def test_a_case_too_large_is_refused_before_the_work():
     case = opened()
     (c,) = case.configurations
     heard = [  # each measured anew

@@ -6,7 +6,10 @@ import ast
 import contextlib
 import inspect
 import io
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -75,12 +78,10 @@ LONG = {
         pytest.param(p, id=name, marks=[pytest.mark.long] if name in LONG else [])
         for p in PAGES
         for name in [p.relative_to(ROOT).as_posix()]
-        if name != "docs/extending.md"  # tests/test_extending.py runs each block by itself
+        if name != "docs/extending.md"  # each block runs by itself
     ],
 )
-def test_python_blocks_run_and_print_what_they_say(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_python_blocks_run_and_print_what_they_say(page, tmp_path, monkeypatch):
     """The blocks of a page run one after the other, in one namespace and an empty folder."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
@@ -96,13 +97,13 @@ def test_python_blocks_run_and_print_what_they_say(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)\)", page.read_text(encoding="utf-8")):
         if not target.startswith("http"):
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
 
 
-def test_a_command_of_the_benchmarks_is_there_or_has_its_commit() -> None:
+def test_a_command_of_the_benchmarks_is_there_or_has_its_commit():
     command = re.compile(
         r"`python\s(?:-m\s)?(benchmarks[\w./]*)[^`]*`(?:\s\([^)]*\))?(\sin\scommit\s\w{8})?"
     )
@@ -116,7 +117,7 @@ def test_a_command_of_the_benchmarks_is_there_or_has_its_commit() -> None:
     assert found > 30
 
 
-def test_the_files_page_shows_files_that_are_read(tmp_path: Path) -> None:
+def test_the_files_page_shows_files_that_are_read(tmp_path):
     page = ROOT / "docs" / "files.md"
     (tmp_path / "room.toml").write_text(blocks(page, "toml")[0], encoding="utf-8")
     (tmp_path / "t.csv").write_text(blocks(page, "csv")[0], encoding="utf-8")
@@ -126,7 +127,7 @@ def test_the_files_page_shows_files_that_are_read(tmp_path: Path) -> None:
     assert abs(result.gap_after).max() < 1e-9
 
 
-def test_version_and_citation_agree() -> None:
+def test_version_and_citation_agree():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     assert project["project"]["name"] == "rtcal"
     assert f"version: {rt.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
@@ -156,7 +157,7 @@ NEEDS_NO_EXAMPLE = {
 }
 
 
-def test_every_public_name_has_an_example_that_runs() -> None:
+def test_every_public_name_has_an_example_that_runs():
     shown = "\n".join(
         block for page in (ROOT / "docs").glob("**/*.md") for block in blocks(page, "python")
     )
@@ -179,3 +180,34 @@ def _mentioned() -> set[str]:
     """Classes that are never called by name: the page says which line of its example returns one."""
     pages = (ROOT / "docs" / "api").glob("*.md")
     return {w for page in pages for w in re.findall(r"`(\w+)`", page.read_text(encoding="utf-8"))}
+
+
+SECTIONS = re.findall(
+    r"^## (.+?)$.*?^```python\n(.*?)^```$",
+    (ROOT / "docs" / "extending.md").read_text(encoding="utf-8"),
+    re.M | re.S,
+)
+
+
+def test_there_are_six_extensions() -> None:
+    kinds = [title.split()[1] for title, _ in SECTIONS]
+    assert kinds == ["equation", "term", "observable", "effect", "format", "simulator"]
+
+
+@pytest.mark.long  # six programs, each with its own start
+@pytest.mark.parametrize(("title", "program"), SECTIONS, ids=[t for t, _ in SECTIONS])
+def test_an_extension_works_from_outside(title: str, program: str, tmp_path: Path) -> None:
+    """The package's own files stay as they are, and the last line prints what it says."""
+    package = sorted((ROOT / "rtcal").rglob("*.py"))
+    before = [path.stat().st_mtime_ns for path in package]
+    (tmp_path / "mine.py").write_text(program, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, "mine.py"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == program.strip().rpartition("  # ")[2]
+    assert [path.stat().st_mtime_ns for path in package] == before

@@ -27,16 +27,13 @@ def outcomes(folder: Path, seeds: range) -> dict[str, Counter[str]]:
         what, why = drawn_tables.judged(seed, folder)
         found[drawn_tables.example(seed).kind][what] += 1
         assert what in ("right", "right as proposed", "refused"), (seed, what, why)
-    print({kind: dict(counts) for kind, counts in found.items()})
     return found
 
 
 @pytest.mark.parametrize(
     "seeds", [range(7000, 7060), pytest.param(range(500), marks=pytest.mark.long)], ids=len
 )
-def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(
-    tmp_path: Path, seeds: range
-) -> None:
+def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(tmp_path, seeds):
     for kind, counts in outcomes(tmp_path, seeds).items():
         read = counts["right"] + counts["right as proposed"]
         assert read >= LEAST_READ[kind] * counts.total(), (kind, counts)
@@ -54,7 +51,7 @@ def of_text(folder: Path, text: str) -> tuple[library.MaterialList, str]:
     "unit", ["m² per chair", "m²/Platz", "A_obj", "[m²]", "m2 je Sitz", "Sabin"]
 )
 @pytest.mark.parametrize("where", ["cell", "name"])
-def test_areas_of_objects_are_no_coefficients(tmp_path: Path, unit: str, where: str) -> None:
+def test_areas_of_objects_are_no_coefficients(tmp_path, unit, where):
     if where == "cell":
         text = f"product;unit;250;500;1000\nRug;-;0,2;0,2;0,2\nChair;{unit};0,6;0,7;0,8\n"
     else:
@@ -108,7 +105,7 @@ OPTIONS = {"across": {"parameter": "t20"}}
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("layout", layouts(""))
 @pytest.mark.parametrize("xlsx", [False, *also(True)])
-def test_a_statistic_over_positions_is_no_position(name: str, layout: str, xlsx: bool) -> None:
+def test_a_statistic_over_positions_is_no_position(name, layout, xlsx):
     rows = layouts(name)[layout]
     text = "\n".join(";".join(map(str, row)) for row in rows)
     content, options = book({"x": rows}) if xlsx else text.encode(), OPTIONS.get(layout, {})
@@ -176,9 +173,7 @@ def read_or_refused(content: bytes, **options: Any) -> tuple[rt.Measurement | No
 @pytest.mark.parametrize("separator", [";", ",", *also("\t", "|", "   ")])
 @pytest.mark.parametrize("mark", [".", ","])
 @pytest.mark.parametrize("layout", written(".", False))
-def test_no_reading_and_no_proposal_gives_another_value(
-    separator: str, mark: str, layout: str
-) -> None:
+def test_no_reading_and_no_proposal_gives_another_value(separator, mark, layout):
     """Of "R1,T20 [s],1,62,1,41" the columns proposed had read 62 s."""
     for whole in (False, True):
         rows = written(mark, whole)[layout]
@@ -211,7 +206,7 @@ OF_REFUSALS = {
 }
 
 
-def test_what_a_refusal_proposes_is_read_when_it_is_copied(tmp_path: Path) -> None:
+def test_what_a_refusal_proposes_is_read_when_it_is_copied(tmp_path):
     """Proposals are tried before they are printed; what is not known stands in them as ?."""
     files: list[tuple[Any, str, bytes, dict[str, Any]]] = [
         (tables if c.reader == "tables" else library, f"{i}.csv", c.content, c.options)
@@ -243,6 +238,3 @@ def test_what_a_refusal_proposes_is_read_when_it_is_copied(tmp_path: Path) -> No
                     with pytest.raises(DataError, match=r"\?|check that the value is in"):
                         reader.read(path, **{**options, option: value})
     assert followed > 60
-
-
-# -- modes

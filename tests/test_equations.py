@@ -8,7 +8,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal.acoustics.equations import LinearEquation
 
 C = 343.0  # the examples' speed of sound, given explicitly
 LINEAR = [rt.Sabine(), rt.Eyring(), rt.Kuttruff()]
@@ -56,12 +55,12 @@ TWO = room_of(100, [(60, 0.3, None), (40, 0.6, None)])
         (rt.Fitzroy(C), PAIRS, 0.699854185),
     ],
 )
-def test_worked_examples(equation, room: rt.Room, expected: float) -> None:
+def test_worked_examples(equation, room, expected):
     """Most expect 24 ln 10 / 343 or, python-acoustics, 24 ln 10 / 343 as well: to 1e-8."""
     assert equation.reverberation_time(room)[0] == pytest.approx(expected, rel=1e-8)
 
 
-def test_everest_figure_7_22() -> None:
+def test_everest_figure_7_22():
     """Everest, 4th ed., in feet with 0.049: printed to two digits."""
     bands = [125, 250, 500, 1000, 2000, 4000]
     floor = np.array([0.01, 0.01, 0.015, 0.02, 0.02, 0.02])
@@ -71,7 +70,7 @@ def test_everest_figure_7_22() -> None:
     np.testing.assert_allclose(rt.Sabine(C).reverberation_time(room), expected, atol=0.02)
 
 
-def test_en_12354_6_annex_e() -> None:
+def test_en_12354_6_annex_e():
     """Bare room; with hard objects (they add absorption and take volume); with an absorber."""
     bare = [(12.39, 0.05, None), (12.39, 0.02, None), (34.90, 0.04, None)]
     room = room_of(29.75, bare)
@@ -91,7 +90,7 @@ def test_en_12354_6_annex_e() -> None:
     assert sabine.reverberation_time(absorber)[0] == pytest.approx(0.5, abs=0.05)
 
 
-def test_the_air_term_is_added() -> None:
+def test_the_air_term_is_added():
     """V = S = 216, alpha 0.1, m = 0.005 1/m: 1.285 s (pyroomacoustics subtracts: 1.887 s)."""
     room = room_of(216, [(216, 0.1, None)])
     constant = 24 * np.log(10) / C
@@ -116,7 +115,7 @@ def rooms(draw) -> rt.Room:
 
 @pytest.mark.parametrize("equation", ALL, ids=lambda e: e.name)
 @given(room=rooms(), which=st.integers(0, 4), more=st.floats(1e-4, 0.1))
-def test_t_falls_when_any_alpha_rises(equation, room: rt.Room, which: int, more: float) -> None:
+def test_t_falls_when_any_alpha_rises(equation, room, which, more):
     alpha = room.alpha.copy()
     alpha[which] += more
     raised = room.replace(alpha=alpha)
@@ -128,7 +127,7 @@ def test_t_falls_when_any_alpha_rises(equation, room: rt.Room, which: int, more:
 
 @pytest.mark.parametrize("equation", ALL, ids=lambda e: e.name)
 @given(room=rooms())
-def test_t_falls_when_the_air_absorbs_more(equation, room: rt.Room) -> None:
+def test_t_falls_when_the_air_absorbs_more(equation, room):
     none = equation.__class__(speed_of_sound=C).reverberation_time(room.with_air(None))
     some = equation.__class__(speed_of_sound=C).reverberation_time(room)
     assert np.all(some < none)
@@ -136,7 +135,7 @@ def test_t_falls_when_the_air_absorbs_more(equation, room: rt.Room) -> None:
 
 @pytest.mark.parametrize("equation", ALL, ids=lambda e: e.name)
 @given(room=rooms(), seed=st.integers(0, 99))
-def test_the_order_of_surfaces_changes_nothing(equation, room: rt.Room, seed: int) -> None:
+def test_the_order_of_surfaces_changes_nothing(equation, room, seed):
     order = np.random.default_rng(seed).permutation(5)
     turned = room.replace(
         materials=[room.materials[i] for i in order],
@@ -150,7 +149,7 @@ def test_the_order_of_surfaces_changes_nothing(equation, room: rt.Room, seed: in
 
 
 @given(room=rooms(), small=st.floats(1e-6, 1e-4))
-def test_eyring_tends_to_sabine(room: rt.Room, small: float) -> None:
+def test_eyring_tends_to_sabine(room, small):
     faint = room.replace(alpha=room.alpha * small)
     ratio = rt.Eyring().reverberation_time(faint) / rt.Sabine().reverberation_time(faint)
     mean = faint.absorption_area / faint.total_area
@@ -159,7 +158,7 @@ def test_eyring_tends_to_sabine(room: rt.Room, small: float) -> None:
 
 
 @given(room=rooms(), alpha=alphas)
-def test_millington_is_eyring_if_and_only_if_all_alpha_are_equal(room: rt.Room, alpha) -> None:
+def test_millington_is_eyring_if_and_only_if_all_alpha_are_equal(room, alpha):
     millington, eyring = rt.Millington(), rt.Eyring()
     even = room.replace(alpha=np.full_like(room.alpha, alpha))
     equal = eyring.reverberation_time(even)
@@ -170,9 +169,7 @@ def test_millington_is_eyring_if_and_only_if_all_alpha_are_equal(room: rt.Room, 
 
 @pytest.mark.parametrize("equation", LINEAR, ids=lambda e: e.name)
 @given(volume=st.floats(20, 5000), share=st.floats(0.001, 0.9), humid=st.floats(10, 90))
-def test_the_inverse_of_predict_is_the_identity(
-    equation: LinearEquation, volume: float, share: float, humid: float
-) -> None:
+def test_the_inverse_of_predict_is_the_identity(equation, volume, share, humid):
     room = room_of(volume, [(100, 0.1, None), (50, 0.3, None)], (500, 4000), rt.Air(15, humid))
     b = np.full(2, share * room.total_area)
     t = equation.time(room, b)
@@ -182,7 +179,7 @@ def test_the_inverse_of_predict_is_the_identity(
     np.testing.assert_allclose(equation.target_sensitivity(room, t), slope, rtol=1e-5)
 
 
-def test_kuttruff_inverts_its_lower_branch_and_refuses_t_below_its_minimum() -> None:
+def test_kuttruff_inverts_its_lower_branch_and_refuses_t_below_its_minimum():
     equation = rt.Kuttruff()
     room = room_of(200, [(150, 0.1, None), (60, 0.3, None)])
     peak = equation.largest_mean
@@ -190,8 +187,7 @@ def test_kuttruff_inverts_its_lower_branch_and_refuses_t_below_its_minimum() -> 
     shortest = equation.time(room, np.array([peak * room.total_area]))
     found = equation.absorption_area(room, shortest * 1.0000001)
     assert found[0] / room.total_area == pytest.approx(peak, abs=1e-3)
-    message = r"is too short: in this room Kuttruff's equation gives T from"
-    with pytest.raises(rt.errors.InfeasibleError, match=message):
+    with pytest.raises(rt.errors.InfeasibleError, match="is too short: in this room Kuttruff's"):
         equation.absorption_area(room, shortest * 0.999)
     with pytest.raises(rt.errors.InfeasibleError, match="cannot be reached"):
         rt.calibrate(room, shortest * 0.999, equation=equation)
@@ -202,7 +198,7 @@ def test_kuttruff_inverts_its_lower_branch_and_refuses_t_below_its_minimum() -> 
         equation.reverberation_time(room.replace(alpha=np.full((2, 1), 0.95)))
 
 
-def test_equations_without_a_linear_target_refer_to_the_loop() -> None:
+def test_equations_without_a_linear_target_refer_to_the_loop():
     for equation in (rt.Millington(), rt.Fitzroy(), rt.ArauPuchades()):
         with pytest.raises(rt.errors.ModelError, match="calibrate_simulator"):
             equation.absorption_area(UNEVEN, [1.0])
@@ -210,39 +206,20 @@ def test_equations_without_a_linear_target_refer_to_the_loop() -> None:
             rt.calibrate(UNEVEN, [1.0], equation=equation)
 
 
-def test_axes_are_asked_for() -> None:
+def test_axes_are_asked_for():
     for equation in (rt.Fitzroy(), rt.ArauPuchades()):
         with pytest.raises(rt.errors.ModelError, match='"s0" has none'):
             equation.reverberation_time(TWO)
         flat = room_of(100, [(60, 0.3, "x"), (40, 0.6, "z")])
         with pytest.raises(rt.errors.ModelError, match='needs a surface with axis = "y"'):
             equation.reverberation_time(flat)
-        bare = rt.Room(
-            name="bare",
-            volume=1,
-            materials=["a"],
-            areas=[6],
-            alpha=[[0.1]],
-            sigma=[[0.1]],
-            centre_frequencies=[500],
-        )
+        bare = TWO.replace(surfaces=())
         with pytest.raises(rt.errors.ModelError, match="has no surfaces"):
             equation.reverberation_time(bare)
 
 
-def test_calibrated_in_one_climate_predicted_in_another(cr2) -> None:
-    room, measured = cr2
-    result = rt.calibrate(room, measured)
-    eyring = rt.Eyring()
-    same = eyring.reverberation_time(result.room.with_air(room.air))
-    np.testing.assert_allclose(same, result.measured, rtol=1e-9)
-    dry = eyring.reverberation_time(result.room.with_air(rt.Air(19.5, 15)))
-    assert dry[-1] < 0.8 * result.measured[-1]
-    assert abs(dry[0] / result.measured[0] - 1) < 0.01
-
-
 @given(st.floats(-20, 50), st.floats(10, 100), st.floats(50, 1e4))
-def test_air_against_pyfar(temperature: float, humidity: float, f: float) -> None:
+def test_air_against_pyfar(temperature, humidity, f):
     """ISO 9613-1 as pyfar has it: to 1e-6 over the standard's range."""
     pyfar = pytest.importorskip("pyfar")
     m_db = pyfar.constants.air_attenuation(temperature, np.array([f]), humidity / 100)[0]

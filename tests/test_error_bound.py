@@ -16,7 +16,7 @@ from rtcal.calibration.qp import certify
 from rtcal.calibration.result import JointResult
 from rtcal.support.errors import SolverError
 from tests import coupled, rational
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 
 def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]]:
@@ -156,15 +156,8 @@ def test_near_an_end_the_bound_has_the_rounding_of_the_row(seed: int) -> None:
     true = (
         near * rng.uniform(0, 1, n) if rng.random() < 0.5 else 0.9999 - near * rng.uniform(0, 1, n)
     )
-    room = rt.Room(
-        name="box",
-        volume=float(areas.sum()) ** 1.5 / 10,
-        materials=[f"m{i}" for i in range(n)],
-        areas=areas,
-        alpha=alpha[:, np.newaxis],
-        sigma=sigma[:, np.newaxis],
-        centre_frequencies=[500],
-    )
+    materials = {f"m{i}": each for i, each in enumerate(zip(areas, alpha, sigma, strict=True))}
+    room = room_of(materials, [500], float(areas.sum()) ** 1.5 / 10)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the room has no air
         result = rt.calibrate(room, rt.Eyring().time(room, np.array([areas @ true])))
@@ -176,14 +169,10 @@ def test_near_an_end_the_bound_has_the_rounding_of_the_row(seed: int) -> None:
 def test_a_target_at_the_end_of_its_reach_leaves_no_freedom() -> None:
     """No move keeps such a row: its coefficients are known as precisely as their bounds."""
     rooms = [
-        rt.Room(
+        room_of(
+            {"wall": (80, 0.2, 0.05), "mat": (mat, 0.5, 0.2)},
+            [500],
             name=f"{mat} m² of mat",
-            volume=100,
-            materials=["wall", "mat"],
-            areas=[80, mat],
-            alpha=[[0.2], [0.5]],
-            sigma=[[0.05], [0.2]],
-            centre_frequencies=[500],
             alpha_min=[[0.1], [0.0]],
         )
         for mat in (10, 30)

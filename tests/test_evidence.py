@@ -10,7 +10,7 @@ from rtcal.finder import evidence
 from rtcal.finder.evidence import bounded, leading_products, student, with_columns
 
 
-def test_products_and_determinant_are_those_of_the_whole_matrix() -> None:
+def test_products_and_determinant_are_those_of_the_whole_matrix():
     rng = np.random.default_rng(0)
     n, m = 4, 9
     root = rng.standard_normal((n, m, 12))
@@ -29,14 +29,12 @@ def test_products_and_determinant_are_those_of_the_whole_matrix() -> None:
         np.testing.assert_allclose(inner, expected[:, 2:, 2:], rtol=1e-8, atol=1e-12)
 
 
-def test_a_matrix_that_is_not_positive_definite_is_an_error() -> None:
+def test_a_matrix_that_is_not_positive_definite_is_an_error():
     with pytest.raises(np.linalg.LinAlgError, match="covariance 1 is not positive definite"):
         list(leading_products(np.stack([np.eye(2), -np.eye(2)]), np.zeros((2, 1, 2)), 1, [2]))
 
 
-def test_the_evidence_of_a_hypothesis_is_the_density_under_its_whole_covariance(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_evidence_of_a_hypothesis_is_the_density_under_its_whole_covariance(monkeypatch):
     rng = np.random.default_rng(1)
     n, draws = 7, 3
     root = rng.standard_normal((n, 9))

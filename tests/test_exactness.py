@@ -13,6 +13,7 @@ import rtcal as rt
 from rtcal.calibration.methods import preset
 from rtcal.support.errors import InfeasibleError, SolverError
 from tests import rational
+from tests.conftest import room_of
 from tests.problems import Problem, problems
 
 COUNTS = [160, pytest.param(2000, marks=pytest.mark.long)]
@@ -36,16 +37,8 @@ class Shifted(rt.Sabine):
 
 
 def as_room(p: Problem) -> rt.Room:
-    n = len(p.mu)
-    return rt.Room(
-        name=p.kind,
-        volume=1,
-        materials=[f"m{i}" for i in range(n)],
-        areas=p.areas,
-        alpha=p.mu[:, np.newaxis],
-        sigma=p.sigma[:, np.newaxis],
-        centre_frequencies=[1000],
-    )
+    each = zip(p.areas, p.mu, p.sigma, strict=True)
+    return room_of({f"m{i}": of for i, of in enumerate(each)}, [1000])
 
 
 @functools.cache

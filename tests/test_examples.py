@@ -11,7 +11,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.files import _PURPOSES
-from rtcal.datasets import examples
 from tests.conftest import run
 
 
@@ -31,9 +30,7 @@ def run_line(line: str) -> None:
         if n not in ("missing-effect", "identified", "where", "diagnose")
     ],
 )
-def test_the_printed_commands_run(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_printed_commands_run(name, tmp_path, monkeypatch, capsys):
     for library in ("pyfar", "pyrato", "pyroomacoustics", "jinja2", "matplotlib"):
         pytest.importorskip(library)
     monkeypatch.chdir(tmp_path)
@@ -53,21 +50,10 @@ def test_the_printed_commands_run(
         assert Path("calibrated/report.html").exists()
 
 
-@pytest.mark.long
-def test_the_case_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run("example", "missing-effect", "-q") == 0
-    assert run("plan", "missing-effect/case.json") == 0
-
-
-def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_case_with_a_geometry_is_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run("example", "where", "-q") == 0
     measured = rt.Measurement.from_file("where/pairs.csv")
     case = rt.finder.case_of(rt.Room.from_file("where/room.toml"), measured)
     assert len(case.pairs) == 12
     assert case.faces.keys() == case.areas.keys() >= {"floor", "ceiling"}
-
-
-def test_the_command_offers_every_example() -> None:
-    assert tuple(_PURPOSES) == examples.NAMES

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,20 +13,20 @@ import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate, verify
 from rtcal.finder.apply import DRAWN_LARGER
 from rtcal.finder.claim import Reason
-from rtcal.finder.effects import IN_RUN, AppliedEffect, NonDiffuse, Opening
+from rtcal.finder.effects import IN_RUN, AppliedEffect, Opening
 from rtcal.finder.finding import Finding
 from rtcal.finder.means import engines
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.problem import estimate_discrepancy, features_of, observe
+from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
-from rtcal.report import figures, of_finding
+from rtcal.report import of_finding
 from rtcal.report.verification_words import sentence
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import DataError
-from tests.conftest import also, run
+from tests.conftest import also
 
 F = 125.0 * 2.0 ** np.arange(6)
 FEWER = ("membrane", "resonator", "curtain", "people", "audience", "covered surface")
@@ -93,7 +92,7 @@ def with_absorber(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {k: less * v for k, v in values.items() if k in ("t20", "edt", "t30")}
 
 
-def test_a_run_that_is_the_measurement_agrees() -> None:
+def test_a_run_that_is_the_measurement_agrees():
     values = values_of(hall(), 1.3)
     finding = found(values, values)
     assert finding.verdict == "none"
@@ -101,7 +100,7 @@ def test_a_run_that_is_the_measurement_agrees() -> None:
 
 
 @pytest.mark.parametrize("change", [with_absorber, *also(dict)])
-def test_a_run_of_the_equation_answers_as_without_one(change: object) -> None:
+def test_a_run_of_the_equation_answers_as_without_one(change):
     values = values_of(hall())
     measured = change(values)  # type: ignore[operator]
     one, other = found(measured, values), found(measured, None)
@@ -110,23 +109,20 @@ def test_a_run_of_the_equation_answers_as_without_one(change: object) -> None:
     assert one.probabilities == pytest.approx(other.probabilities, abs=1e-6)
 
 
-def test_what_the_equation_errs_by_is_not_blamed_on_the_room() -> None:
+def test_what_the_equation_errs_by_is_not_blamed_on_the_room():
     """Eyring is 20 % low where the audience alone absorbs, and programs agree with the measurement."""
     values = values_of(hall(), 1.25)
     without, finding = found(values, None), found(values, values, program="geometrical")
     assert without.verdict not in ("none", "hint")
     assert finding.verdict == "none"
-    said = str(finding).split("\n\n")[0]
-    first = " ".join(said.split()).split(". ")[0]
-    assert first == (
-        "Eyring's T is 20 % shorter than the program's in all bands, so the equation's T is too short, "
-        "and the program agrees with the measurement"
+    assert " ".join(str(finding).split()).startswith(
+        "Eyring's T is 20 % shorter than the program's"
     )
     assert finding.not_judged["formula"] == IN_RUN
     assert "formula" not in finding.probabilities
 
 
-def test_a_band_and_a_parameter_that_the_run_lacks_are_left_out_as_in_compare() -> None:
+def test_a_band_and_a_parameter_that_the_run_lacks_are_left_out_as_in_compare():
     values = values_of(hall(), 1.25)
     run = {p: np.where(F > 125, v, np.nan) for p, v in values.items() if p != "c80"}
     finding = found(values, run)
@@ -144,7 +140,7 @@ def test_a_band_and_a_parameter_that_the_run_lacks_are_left_out_as_in_compare() 
     assert finding.case.only("t20", "edt").configurations[0].left_out == (said,)
 
 
-def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:
+def test_what_is_missing_from_the_run_is_found_all_the_same():
     run = values_of(hall(), 1.25)
     finding = found(with_absorber(run), run)
     assert finding.detected
@@ -152,7 +148,7 @@ def test_what_is_missing_from_the_run_is_found_all_the_same() -> None:
 
 
 @pytest.mark.long
-def test_run_and_measurement_with_twice_the_time_say_the_same() -> None:
+def test_run_and_measurement_with_twice_the_time_say_the_same():
     def doubled(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         return {k: 2 * v if k in ("t20", "edt", "t30") else v for k, v in values.items()}
 
@@ -163,7 +159,7 @@ def test_run_and_measurement_with_twice_the_time_say_the_same() -> None:
     assert one.score == pytest.approx(other.score, abs=1e-6)
 
 
-def test_calibrations_meet_the_measurement_in_the_terms_of_the_run() -> None:
+def test_calibrations_meet_the_measurement_in_the_terms_of_the_run():
     """At the run's coefficients the model is the run, whatever they are; away from them, its ratio."""
     room, values = hall(), values_of(hall(), 1.3)
     at = room.replace(alpha=1.1 * room.alpha.clip(max=0.88))
@@ -182,7 +178,7 @@ def test_calibrations_meet_the_measurement_in_the_terms_of_the_run() -> None:
     assert abs(recalibrate(case).features[0, 0] - met).max() < 0.02
 
 
-def test_a_case_file_names_the_run_and_its_coefficients(tmp_path: Path) -> None:
+def test_a_case_file_names_the_run_and_its_coefficients(tmp_path):
     room, values = hall(), values_of(hall(), 1.3)
     at = room.replace(alpha=0.9 * room.alpha)
     room.save(str(tmp_path / "room.toml"))
@@ -209,39 +205,12 @@ def test_a_case_file_names_the_run_and_its_coefficients(tmp_path: Path) -> None:
         (4100.0, "", "volume = 4100 m³"),
     ],
 )
-def test_a_run_of_something_else_is_refused(
-    volume: float | None, program: str, message: str
-) -> None:
+def test_a_run_of_something_else_is_refused(volume, program, message):
     values, run = values_of(hall()), None
     if volume is not None:
         run = rt.Run(hall().replace(volume=volume), rt.Measurement.from_values(F, **values))
     with pytest.raises(DataError, match=message):
         rt.find(hall(), measurement(values), simulated=run, program=program)
-
-
-@pytest.mark.long
-def test_a_field_less_diffuse_than_the_programs_is_no_error_of_the_room() -> None:
-    """Decays that are curved where the program's are straight: it scatters as it was told."""
-    room, values = hall(), values_of(hall())
-    facing = np.array([[0, 0, 1], [0.5, 0.5, 0], [0, 0, 1]])
-    whole = Configuration(name="a", measured=measurement(values))
-    stated = Case(room=room, configurations=[whole], facing=facing)
-    uneven = AppliedEffect(NonDiffuse(), {"scattering": 0.05})
-    measured = natural(features_of(stated, [uneven])[0])
-    run = rt.Run(room, rt.Measurement.from_values(F, **values))
-    by_run = Configuration(name="a", measured=measurement(measured), simulated=run)
-    case = Case(room=room, configurations=[by_run], facing=facing, program="geometrical")
-    claimed = rt.find(replace(case, program=""), controls=controls())
-    assert claimed.detected
-    assert claimed.best_effect in ("non-diffuse field", "coupled room")
-    finding = rt.find(case, controls=controls())
-    assert finding.verdict == "hint"
-    assert str(finding).startswith("Nothing is identified in the room, because the difference may")
-    assert "Next: Simulate with half and with twice the scattering" in " ".join(
-        str(finding).split()
-    )
-    assert "nothing was detected" in str(finding.refusal)
-    assert "`rtcal plan`" in str(finding.refusal)
 
 
 FIELD = np.array([0.4, -0.25, 0.08, -0.5, 0.3])[:, None] * np.ones(6)
@@ -266,7 +235,7 @@ def features_of_hall(*applied: AppliedEffect) -> np.ndarray:
     return features_of(Case(room=hall(), configurations=[whole]), applied)[0]
 
 
-def test_what_no_effect_explains_is_a_geometrical_programs_own() -> None:
+def test_what_no_effect_explains_is_a_geometrical_programs_own():
     """T is shorter and the level higher; the decay is bent, and C80 lower: no effect does all of it."""
     run = natural(features_of_hall())
     change = np.array([-0.3, 0.2, 0.15, -4.0, 3.0])[:, None] * np.linspace(0.7, 1.3, 6)
@@ -278,7 +247,7 @@ def test_what_no_effect_explains_is_a_geometrical_programs_own() -> None:
     assert "may come from the program itself" in " ".join(str(finding).split())
 
 
-def test_room_and_program_are_exchangeable() -> None:
+def test_room_and_program_are_exchangeable():
     """Either may have the less diffuse field: the error has no sign, and its covariance is the same."""
     run = features_of_hall()
     same, turned = by_program(run, run), by_program(run, run, -1.0)
@@ -287,33 +256,7 @@ def test_room_and_program_are_exchangeable() -> None:
     assert same.score == pytest.approx(turned.score)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_absorber_is_found_beside_a_field_of_either_kind(sign: float) -> None:
-    """A program without it, and with another field than the room's: only the absorber is missing."""
-    run, opened = features_of_hall(), features_of_hall(AppliedEffect(Opening(), {"area": 250.0}))
-    assert by_program(run + sign * FIELD, run).verdict in ("none", "hint")
-    finding = by_program(opened + sign * FIELD, run)
-    assert finding.detected
-    assert finding.families["added absorption"] > 0.7
-
-
-@pytest.mark.long
-def test_residuals_of_rooms_without_an_error_are_as_large_as_they_should_be() -> None:
-    """Chi-square is about its degrees of freedom, in rooms and programs of either field."""
-    rng, run, ratios = np.random.default_rng(2), features_of_hall(), []
-    case = by_program(run, run).case
-    learnt = estimate_discrepancy(case, of_other_fields())
-    size = len(learnt.bias)
-    for errors in of_other_fields():
-        for each in errors.errors.reshape(-1, size) * rng.choice([-1.0, 1.0], (40, 1)):
-            ratios.append(each @ np.linalg.solve(learnt.covariance, each) / size)
-    assert 0.5 < np.mean(ratios) < 1.1
-
-
-def test_what_positions_do_cancels_between_room_and_program(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_positions_do_cancels_between_room_and_program(monkeypatch):
     def by_place(control: engines.ControlRoom, _number: int) -> engines.Simulation:
         far = float(control.distances.mean())
         return lambda alpha, _duration: far + alpha.sum(0) + np.zeros((5, 6))
@@ -331,7 +274,7 @@ def test_what_positions_do_cancels_between_room_and_program(
 
 
 @pytest.mark.long
-def test_a_large_patch_is_found_beside_a_run_of_the_same_simulator() -> None:
+def test_a_large_patch_is_found_beside_a_run_of_the_same_simulator():
     """The tracer is room and program: only the noise of its paths and the patch differ."""
     alpha = np.full((2, 6), 0.12)
     room = rt.Room(
@@ -370,7 +313,7 @@ def absorber() -> Finding:
     return found(natural(made), values_of(room))
 
 
-def test_three_models_are_compared_with_and_without_a_second_run(absorber: Finding) -> None:
+def test_three_models_are_compared_with_and_without_a_second_run(absorber):
     first = absorber.case.configurations[0]
     seen = verify(absorber)
     assert seen.models == ("input", "calibrated", "corrected and calibrated")
@@ -378,51 +321,34 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber: Findi
     assert again.models == ("as simulated", "calibrated", "corrected")
     assert again.runs == ("as simulated",)
     assert again.verdict == "not tested"  # the opening moves C80 and G by T alone
-    alone = "leaves only 0.02 JND there, so a second run cannot reduce it"
-    assert alone in sentence(seen)
-    assert (
-        "not tested at C80 and G: a calibration without the effect leaves only 0.00 JND"
-        in sentence(again)
-    )
+    assert "leaves only 0.02 JND there" in sentence(seen)
+    assert "not tested at C80 and G" in sentence(again)
     np.testing.assert_allclose(again.by_seed[1], seen.by_seed[1], atol=0.1)  # but for the bias
     assert again.after == pytest.approx(0.0, abs=1e-4)
     np.testing.assert_allclose(residual_map(again), 0, atol=0.1)
     both = verify(absorber, simulated=first.measured, calibrated=first.simulated.simulated)
     assert both.runs == both.models
     assert both.before == pytest.approx(float(again.by_seed[0, 0]))
-    assert "are unchanged runs of the program" in str(both)
-    drawn = figures.bars(again)
-    assert [t.get_text() for t in drawn.axes[0].get_xticklabels()] == [*again.models]
 
 
-def test_the_page_of_a_second_run(
-    absorber: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """`verify --out` writes what it printed, which `report` reads again."""
+def test_the_page_of_a_second_run(absorber, tmp_path, rtcal):
+    """`verify --out` writes what it printed, and reads it again."""
     absorber.save(tmp_path / "found")
     absorber.case.configurations[0].measured.save(str(tmp_path / "again.csv"))
     made = ("--simulated", tmp_path / "again.csv", "--out", tmp_path / "verified")
-    assert run("verify", tmp_path / "found", *made) == 0
-    printed = capsys.readouterr().out
-    page = (tmp_path / "verified" / "report.html").read_text()
-    assert "again.csv --out" in page
-    assert "As simulated" in page or "as simulated" in page
-    assert run("verify", tmp_path / "verified") == 0
-    assert capsys.readouterr().out.splitlines()[:6] == printed.splitlines()[:6]
-    assert run("verify", tmp_path / "found", "--out", tmp_path / "found", "--simulated",
-               tmp_path / "found" / "result.json") == 2  # fmt: skip
+    printed = rtcal("verify", tmp_path / "found", *made)
+    assert "as simulated" in (tmp_path / "verified" / "report.html").read_text().lower()
+    assert rtcal("verify", tmp_path / "verified")[:400] == printed[:400]
+    result = tmp_path / "found" / "result.json"
+    rtcal.refused("verify", tmp_path / "found", "--out", result.parent, "--simulated", result)
     assert not (tmp_path / "found" / "report.html").exists()
 
 
-def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(
-    absorber: Finding,
-) -> None:
+def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(absorber):
     first = absorber.case.configurations[0]
     weak = {name: 0.2 * p for name, p in absorber.probabilities.items()}
     unsure = replace(absorber, probabilities=weak)
-    with pytest.raises(
-        DataError, match="effect is missing: name the effect that the second simulation"
-    ):
+    with pytest.raises(DataError, match="effect is missing"):
         verify(unsure, simulated=first.measured)
     assert verify(unsure, simulated=first.measured, effect=absorber.names[0]).effect == "opening"
     drawn = {p: 1.01 * v[0] for p, v in first.measured.values.items()}
@@ -448,9 +374,7 @@ def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:
 
 
 @pytest.mark.parametrize("off", [0.8, *also(1.0, 1.15)])
-def test_a_second_run_is_moved_to_the_measured_time_as_the_first_one_is(
-    absorber: Finding, off: float
-) -> None:
+def test_a_second_run_is_moved_to_the_measured_time_as_the_first_one_is(absorber, off):
     """Coefficients that are off together withdraw no right effect, and support no run without it."""
     right = verify(absorber, simulated=run_of(absorber, effect=True, off=off))
     np.testing.assert_allclose(right.gaps[1:, 0, 0], 0, atol=1e-3)
@@ -459,16 +383,12 @@ def test_a_second_run_is_moved_to_the_measured_time_as_the_first_one_is(
     without = verify(absorber, simulated=run_of(absorber, effect=False, off=0.97 * off))
     assert without.verdict != "supported"
     assert not np.allclose(right.again[0], 0, atol=0.1)
-    said = sentence(right)
-    t, c80 = (f"{right.sizes[0, 0, i, 0]:.2f} to" for i in (0, 3))
-    assert f"as simulated: C80 {c80}" in said
-    assert f"T20 {t}" in said
+    for name, i in (("T20", 0), ("C80", 3)):
+        assert f"{name} {right.sizes[0, 0, i, 0]:.2f} to" in sentence(right)
 
 
 @pytest.mark.parametrize("off", [0.8, *also(1.0, 1.15)])
-def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(
-    absorber: Finding, off: float
-) -> None:
+def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(absorber, off):
     """The program's C80 changes with the effect by more than the equation's, and so does the room's."""
     first = absorber.case.configurations[0]
 
@@ -490,7 +410,7 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(
 
 
 @pytest.mark.long
-def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber: Finding) -> None:
+def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber):
     first = absorber.case.configurations[0]
     second = run_of(absorber, effect=True, off=1.0)
 
@@ -508,56 +428,22 @@ def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber:
     assert uncertainty(1e-3, 2.0) == pytest.approx(2.0 * np.sqrt((1 - 2 / np.pi) / 12), rel=0.15)
 
 
-@pytest.mark.long
-def test_what_a_second_run_lacks_is_said(absorber: Finding) -> None:
-    values = {p: v[0] for p, v in absorber.case.configurations[0].measured.values.items()}
-
-    def run(*names: str) -> rt.Measurement:
-        return rt.Measurement.from_values(F, **{n: values[n] for n in names})
-
-    lacking = verify(absorber, simulated=run("t20", "edt"))
-    assert lacking.verdict == "not tested"
-    assert "the second run does not have the data that the finding was not fitted to" in sentence(
-        lacking
-    )
-    assert "Not compared: T30, C80 and G, which the run does not have." in lacking.notes
-    assert "does not have the data" not in sentence(verify(absorber, simulated=run("t20", "c80")))
-    cut = {p: np.where(F > 125, v, np.nan) for p, v in values.items()}
-    fewer = verify(absorber, simulated=rt.Measurement.from_values(F, **cut))
-    assert fewer.notes == ("Not compared: 125 Hz, which the run does not have.",)
-    assert np.isnan(fewer.again[..., 0]).all()
-    assert not np.isnan(fewer.again[..., 1:]).any()
-    with pytest.raises(
-        DataError, match="simulated has no T20, but T20 was measured; simulated has only EDT"
-    ):
-        verify(absorber, simulated=run("edt", "c80"))
-    first = absorber.case.configurations[0].simulated
-    assert first is not None
-    with pytest.raises(DataError, match="simulated is the same simulation as that of the search"):
-        verify(absorber, simulated=first.simulated)
-
-
-def test_instructions_are_in_the_terms_of_the_program(absorber: Finding, tmp_path: Path) -> None:
+def test_instructions_are_in_the_terms_of_the_program(absorber, tmp_path):
     """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
     _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
     text = files[tmp_path / "instructions.txt"].decode()
-    assert "drawn larger" in " ".join(text.split())
     assert re.search(r"^opening, 3\d\d\.\d\d m² +0\.6", text, re.M)
     old = next(line for line in text.splitlines() if line.startswith("walls, old"))
     assert [float(v) for v in old.split()[2:]] == [0.05] * 6
-    assert "means over positions do not show the place" in " ".join(text.split())
     bare = replace(absorber.case.configurations[0], simulated=None)
     without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
     assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]
 
 
-def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber: Finding) -> None:
+def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber):
     made = absorber.apply()
     drawn = Reason(DRAWN_LARGER, {"drawn": 11.0, "size": 10.0})
-    lost = Reason("surface unknown")
-    patch = replace(made, notes=(drawn, lost))
-    said = "\n".join(lines_of(of_finding.instructions(absorber, patch, made.room)))
-    said = " ".join(said.split())
-    assert said.index("2. Draw a surface") < said.index("has 11.00 m² in the mesh")
-    assert said.index("has 11.00 m² in the mesh") < said.index("3. A list of materials cannot hold")
+    patch = replace(made, notes=(drawn, Reason("surface unknown")))
+    said = " ".join(lines_of(of_finding.instructions(absorber, patch, made.room)))
     assert said.count("11.00 m²") == 1
+    assert said.index("2. ") < said.index("11.00 m²") < said.index("3. ")

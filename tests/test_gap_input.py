@@ -24,7 +24,7 @@ from rtcal.finder.effects import Opening
 from rtcal.finder.means.problem import ModelDiscrepancy, state
 from rtcal.finder.model import Decay
 from rtcal.finder.search import find
-from rtcal.support.errors import DataError, RtcalError
+from rtcal.support.errors import DataError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
 
@@ -42,36 +42,30 @@ def with_organ() -> Case:
     )
 
 
-def refused(call: Callable[[], object], *words: str) -> RtcalError:
+def refused(call: Callable[[], object], *words: str) -> None:
     with pytest.raises(DataError) as caught:
         call()
-    text = str(caught.value)
-    assert "\n" not in text
+    assert "\n" not in str(caught.value)
     for word in words:
-        assert word in text, text
-    return caught.value
-
-
-# A room that was calibrated on the case's T already.
+        assert word in str(caught.value)
 
 
 def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path: Path) -> None:
     case = opened()
     used = rt.calibrate(case.room, case.configurations[0].measured).room
     twice = Case(room=used, configurations=case.configurations)
-    with pytest.raises(DataError) as of_calibrate:
-        rt.calibrate(used, case.configurations[0].measured)
-    assert str(refused(lambda: find(twice, controls=controls_of(case)))) == str(of_calibrate.value)
-    refused(lambda: recalibrate(twice), "already calibrated on these data")
+    for call in (
+        lambda: rt.calibrate(used, case.configurations[0].measured),
+        lambda: find(twice, controls=controls_of(case)),
+        lambda: recalibrate(twice),
+    ):
+        refused(call, "already calibrated on these data")
     # The record is kept in a saved case.
     twice.save(str(tmp_path / "twice.json"))
     refused(lambda: find(Case.from_file(str(tmp_path / "twice.json"))), "already calibrated")
     other = case_with(1.2 * case.configurations[0].measured.mean("t20"))
     fresh = Case(room=used, configurations=other.configurations)
     assert np.isfinite(find(fresh, effects=[Opening()], controls=controls_of(case)).score)
-
-
-# An effect of one's own, from finding to verification.
 
 
 @pytest.mark.long
@@ -92,9 +86,7 @@ def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) 
     np.testing.assert_allclose(t20, case.configurations[0].measured.mean("t20"), rtol=0.1)
     assert find(corrected.case, controls=controls_of(case, 0.01)).verdict == "none"
     target = tmp_path / "own.json"
-    refused(
-        lambda: corrected.save(str(target)), '"organ"', "not in rtcal's library", "cannot be saved"
-    )
+    refused(lambda: corrected.save(str(target)), '"organ"', "cannot be saved")
     assert not target.exists()
 
 
@@ -104,16 +96,8 @@ def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path: 
 
     case = opened(25.0)
     finding = find(case, effects=[Wide()], controls=controls_of(case))
-    refused(
-        lambda: finding.apply().case.save(str(tmp_path / "a.json")), '"opening"', "cannot be saved"
-    )
-    find(case, effects=[Opening()], controls=controls_of(case)).apply().case.save(
-        str(tmp_path / "b.json")
-    )
-    assert (tmp_path / "b.json").exists()
-
-
-# What is no effect, and effects that break a rule.
+    save = finding.apply().case.save
+    refused(lambda: save(str(tmp_path / "a.json")), '"opening"', "cannot be saved")
 
 
 def absorber(called: str | None, spectrum: object) -> Absorber:
@@ -138,10 +122,7 @@ def absorber(called: str | None, spectrum: object) -> Absorber:
 def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, place: str) -> None:
     case = opened()
     effects = [*library(), absorber("piano", spectrum)]
-    error = refused(
-        lambda: find(case, effects=effects, controls=controls_of(case)), '"piano"', place
-    )
-    assert (error.__cause__ is not None) or "Error" not in place
+    refused(lambda: find(case, effects=effects, controls=controls_of(case)), '"piano"', place)
     refused(lambda: plan(case, effects=effects), '"piano"', place)
 
 

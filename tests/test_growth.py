@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.calibration.methods import preset
 from rtcal.io import mend
 from rtcal.simulators import Polyhedron
 from tests.conftest import also
@@ -30,39 +31,27 @@ def large_room(n_materials: int, seed: int = 0, name: str = "large") -> rt.Room:
     )
 
 
-def peak_of_calibration(room: rt.Room, method: str) -> float:
+def peak(calibration: rt.Calibration, room: rt.Room) -> float:
     t = 1.1 * rt.Eyring().reverberation_time(room)
     tracemalloc.start()
-    rt.calibrate(room, t, method=method)
+    calibration.build(room).solve(t)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak
 
 
-@pytest.mark.parametrize("method", ["mle", *also("soft", "robust", "smooth")])
-def test_memory_of_a_calibration_is_linear_in_the_materials(method: str) -> None:
-    rt.calibrate(large_room(5), np.full(6, 0.8), unreachable="nearest")  # imports
-    small, large = (peak_of_calibration(large_room(n), method) for n in (100, 400))
-    assert np.log(large / small) / np.log(4) < 1.2
+# An order is a constraint of alpha itself, a product of as many factors as there are coefficients.
+ORDER = rt.Calibration(
+    rt.terms.PriorDeviation(), [rt.terms.ExactMatch(), rt.terms.AtMost("m0", "m1")]
+)
 
 
-@pytest.mark.long
-def test_memory_of_an_order_of_materials_is_linear_in_them() -> None:
-    """A constraint of alpha itself, which is a product of as many factors as there are coefficients."""
-    order = rt.Calibration(
-        rt.terms.PriorDeviation(), [rt.terms.ExactMatch(), rt.terms.AtMost("m0", "m1")]
-    )
-
-    def peak(room: rt.Room) -> float:
-        t = 1.1 * rt.Eyring().reverberation_time(room)
-        tracemalloc.start()
-        order.build(room).solve(t)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return peak
-
-    order.build(large_room(5)).solve(np.full(6, 0.8), unreachable="nearest")  # imports
-    small, large = (peak(large_room(n)) for n in (200, 800))
+@pytest.mark.parametrize(
+    "calibration", [preset("mle"), *also(*map(preset, ("soft", "robust", "smooth")), ORDER)]
+)
+def test_memory_of_a_calibration_is_linear_in_the_materials(calibration: rt.Calibration) -> None:
+    peak(calibration, large_room(5))  # imports
+    small, large = (peak(calibration, large_room(n)) for n in (200, 800))
     assert np.log(large / small) / np.log(4) < 1.2
 
 

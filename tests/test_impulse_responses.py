@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import struct
-import tracemalloc
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rtcal.io import budget
 from rtcal.io import impulse_responses as ir
 from rtcal.io.impulse_responses import Floor, clipped_samples
 from rtcal.support.errors import DataError
-from tests.conftest import also, run
+from tests.conftest import also
 from tests.fuzz import wav
 
 pyfar = pytest.importorskip("pyfar")
@@ -29,16 +25,8 @@ def decay(t: float, rate: int = RATE, length: float = 3.0) -> np.ndarray:
     return np.exp(-6 * np.log(10) / t * np.arange(int(length * t * rate)) / rate)
 
 
-@pytest.mark.parametrize("t", [0.3, 1.0, 2.5])
-def test_exact_decays(t: float) -> None:
-    found, inr, *_ = ir.of_energy(decay(t), RATE)
-    for parameter in ("edt", "t20", "t30"):
-        assert found[parameter] == pytest.approx(t, rel=1e-6)
-    assert inr > 100
-
-
 @pytest.mark.parametrize("t", [0.5, *also(1.0, 2.0)])
-def test_noise_floors(t: float) -> None:
+def test_noise_floors(t):
     e = decay(t)
     found, inr, *_ = ir.of_energy(e + 1e-5, RATE)
     assert found["t30"] == pytest.approx(t, rel=0.01)
@@ -57,7 +45,7 @@ def test_noise_floors(t: float) -> None:
     assert inr == pytest.approx(25, abs=0.1)
 
 
-def test_nothing_above_the_noise() -> None:
+def test_nothing_above_the_noise():
     rng = np.random.default_rng(0)
     found, _, floor, _ = ir.of_energy(rng.standard_normal(RATE) ** 2, RATE)
     assert (found, floor) == ({}, Floor.FLAT)
@@ -71,7 +59,7 @@ def response(t: float, rng: np.random.Generator, rate: int = 16000) -> np.ndarra
     return noise
 
 
-def test_the_level_is_that_of_the_whole_energy(tmp_path: Path) -> None:
+def test_the_level_is_that_of_the_whole_energy(tmp_path):
     """A gain of 10 is 20 dB; another sampling rate and the peak of a file change nothing."""
     parts = [
         (1.0, response(0.8, np.random.default_rng(5))),
@@ -93,20 +81,16 @@ def test_the_level_is_that_of_the_whole_energy(tmp_path: Path) -> None:
     np.testing.assert_allclose(level[0], 10 * np.log10(energy * share), atol=1.0)
 
 
-def test_levels_of_normalised_files_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_levels_of_normalised_files_are_refused(tmp_path, rtcal):
     for i in range(2):
         samples = response(0.5 + i, np.random.default_rng(i))
         soundfile.write(tmp_path / f"S1-R{i}.wav", samples / np.abs(samples).max(), 16000)
-    files = sorted(map(str, tmp_path.glob("*.wav")))
-    assert run("measure", *files, "--level") == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "have the same peak, 1, so they were normalised" in said
-    assert run("measure", *files) == 0
+    files = sorted(tmp_path.glob("*.wav"))
+    assert "so they were normalised" in rtcal.refused("measure", *files, "--level")
+    rtcal("measure", *files)
 
 
-def test_silence_before_the_direct_sound_moves_nothing() -> None:
+def test_silence_before_the_direct_sound_moves_nothing():
     """A file cut at its direct sound had up to 2 dB less C80: the filter's early part was lost."""
     direct = response(0.8, np.random.default_rng(5))[800:]
     direct[0] = 4.0  # the direct sound
@@ -119,7 +103,7 @@ def test_silence_before_the_direct_sound_moves_nothing() -> None:
             np.testing.assert_allclose(others[parameter], value, atol=1e-4)
 
 
-def test_bands_of_noise_like_responses() -> None:
+def test_bands_of_noise_like_responses():
     rng = np.random.default_rng(3)
     t = 0.8
     signals = {("S1", f"R{i}"): pyfar.Signal(response(t, rng), 16000) for i in range(10)}
@@ -131,11 +115,9 @@ def test_bands_of_noise_like_responses() -> None:
     assert (np.abs(mean / t - 1) < limit).all()
     assert analysis.notes == ()
     assert np.isfinite(analysis.measurement.values["c80"]).all()
-    row = next(line for line in str(analysis).splitlines() if line.startswith("T20 / s"))
-    assert [float(cell) for cell in row.split()[3:]] == np.round(mean, 3).tolist()
 
 
-def test_the_backward_filter_keeps_a_short_decay() -> None:
+def test_the_backward_filter_keeps_a_short_decay():
     # The energy that a filter's response h makes of white noise with a decay e, exactly: the decay
     # of conv(h², e) forwards, of the correlation backwards.
     t, rate, n = 0.1, 16000, 16000
@@ -153,7 +135,7 @@ def test_the_backward_filter_keeps_a_short_decay() -> None:
     assert forwards / t - 1 > 0.05
 
 
-def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
+def test_a_clipped_response_is_noted(tmp_path):
     """EDT of a response five times too loud was 20 % too long, without a word."""
     samples = response(0.8, np.random.default_rng(10))
     samples /= np.abs(samples).max()
@@ -162,9 +144,7 @@ def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
     analysis = ir.read(sorted(tmp_path.iterdir()), bands=[1000])
     (note,) = [n for n in analysis.notes if "clipped" in n]
     n_clipped = int((np.abs(5 * samples) >= 1 - 0.5 / 32767).sum())
-    assert note.startswith(
-        f"clipped: {tmp_path / 'S1_R2.wav'} ({n_clipped} samples). Their largest"
-    )
+    assert note.startswith(f"clipped: {tmp_path / 'S1_R2.wav'} ({n_clipped} samples)")
     assert np.isfinite(analysis.measurement.values["edt"]).all()
 
 
@@ -215,7 +195,7 @@ LEAST = {"t20": 35.0, "t30": 45.0, "edt": 20.0}
     + [f"{kind} {down}" for kind in ("cut", "zeros", "dither") for down in (15, 33, 52)]
     + also(*(f"{kind} {down}" for kind in ("cut", "zeros", "dither") for down in (28, 40, 66))),
 )
-def test_a_straight_decay_has_its_own_t_or_the_true_reason(how: str, t: float) -> None:
+def test_a_straight_decay_has_its_own_t_or_the_true_reason(how, t):
     """A decay cut 40 dB down had a T20 3 % too short; few late rays were noise; there is none."""
     signal = damaged(how, straight(t), t)
     analysis = ir.analyse(pyfar.Signal(signal, 16000), bands=OCTAVES)
@@ -232,7 +212,7 @@ def test_a_straight_decay_has_its_own_t_or_the_true_reason(how: str, t: float) -
 
 
 @pytest.mark.parametrize("down", [42, *also(55, 70)])
-def test_noise_takes_what_it_covers_and_is_the_reason(down: int) -> None:
+def test_noise_takes_what_it_covers_and_is_the_reason(down):
     analysis = ir.analyse(pyfar.Signal(damaged(f"noise {down}", straight(1.0), 1.0), 16000))
     centres = analysis.measurement.centre_frequencies
     ratios = analysis.impulse_to_noise_ratio[0]
@@ -247,7 +227,7 @@ def test_noise_takes_what_it_covers_and_is_the_reason(down: int) -> None:
 
 @pytest.mark.parametrize("below", [10, 15, 22])
 @pytest.mark.parametrize("down", [26, 30, 33])
-def test_a_cut_decay_is_none_where_noise_follows(down: int, below: int) -> None:
+def test_a_cut_decay_is_none_where_noise_follows(down, below):
     """T20 was 3 to 10 % short, T30 up to 19 %: the fall was taken for that into noise."""
     rate, t = 8000, 1.0
     time = np.arange(int((down / 60 * t + 0.8) * rate)) / rate
@@ -259,37 +239,19 @@ def test_a_cut_decay_is_none_where_noise_follows(down: int, below: int) -> None:
     assert floor in (Floor.CUT, Floor.END, Floor.FLAT)  # each names the cut
 
 
-def test_a_louder_response_has_the_same_parameters() -> None:
-    rng = np.random.default_rng(22)
-    signal = response(0.6, rng)
-    one, half = (
-        ir.analyse(pyfar.Signal(gain * signal, 16000), bands=OCTAVES) for gain in (1.0, 0.5)
-    )
-    assert str(one) == str(half)
-    for parameter, values in one.measurement.values.items():
-        np.testing.assert_array_equal(values, half.measurement.values[parameter])
-
-
-CONTAINERS = {
-    "WAV": "wav",
-    "FLAC": "flac",
-    "AIFF": "aif",
-    "W64": "w64",
-    "RF64": "wav",
-    "CAF": "caf",
-}
+CONTAINERS = "WAV FLAC AIFF W64 RF64 CAF"
 
 
 @pytest.mark.parametrize(
     ("rate", "coding"), [(8000, "PCM_16"), *also((44100, "PCM_24"), (96000, "PCM_24"))]
 )
-def test_a_response_is_the_same_in_any_container(tmp_path: Path, rate: int, coding: str) -> None:
+def test_a_response_is_the_same_in_any_container(tmp_path, rate, coding):
     """FLAC was "not a WAV file"."""
     whole = np.round(0.9 * straight(0.5, rate) * 2 ** (int(coding[-2:]) - 1)).astype(np.int32)
     whole <<= 32 - int(coding[-2:])
     analyses = {}
-    for container, ending in CONTAINERS.items():
-        path = tmp_path / container / f"S1-R1.{ending}"
+    for container in CONTAINERS.split():
+        path = tmp_path / container / f"S1-R1.{container.lower()}"
         path.parent.mkdir()
         soundfile.write(path, whole, rate, subtype=coding, format=container)
         analyses[container] = ir.read(path, bands=OCTAVES)
@@ -300,39 +262,21 @@ def test_a_response_is_the_same_in_any_container(tmp_path: Path, rate: int, codi
             np.testing.assert_array_equal(values, analyses["WAV"].measurement.values[parameter])
 
 
-def test_a_file_beyond_the_budget_is_refused_before_it_is_loaded(tmp_path: Path) -> None:
-    path = tmp_path / "S1-R1.flac"
-    soundfile.write(path, np.zeros(budget.MAX_CHANNEL_SAMPLES + 1), 48000)
-    tracemalloc.start()
-    try:
-        with pytest.raises(
-            DataError, match="at most 4194304 are read: that is 87 s at 48000 Hz; keep"
-        ):
-            ir.read(path)
-        assert tracemalloc.get_traced_memory()[1] < 2**22
-    finally:
-        tracemalloc.stop()
-
-
-def test_a_file_that_lost_its_end_or_its_quiet_sound_is_in_doubt(tmp_path: Path) -> None:
+def test_a_file_that_lost_its_end_or_its_quiet_sound_is_in_doubt(tmp_path):
     path = tmp_path / "S1-R1.wav"
     content = wav(0.9 * straight(0.5, 8000), 8000)
     path.write_bytes(content[: len(content) // 2])
     (note,) = [n for n in ir.read(path, bands=[1000]).notes if "header" in n]
-    assert note == f"{path}: it is shorter than its header states, so that its end is missing"
+    assert note.startswith(f"{path}: ")
     flac = tmp_path / "S1-R2.flac"
     soundfile.write(flac, 0.9 * straight(0.5, 8000), 8000)
     flac.write_bytes(flac.read_bytes()[: flac.stat().st_size // 2])
-    with pytest.raises(
-        DataError, match=r"S1-R2\.flac: this file cannot be read as sound, because it is damaged"
-    ):
+    with pytest.raises(DataError, match=r"S1-R2\.flac: this file cannot be read as sound"):
         ir.read(flac, bands=[1000])
     lossy = tmp_path / "S1-R3.ogg"
     soundfile.write(lossy, 0.9 * straight(0.5, 8000), 8000, format="OGG", subtype="VORBIS")
     (note,) = [n for n in ir.read(lossy, bands=[1000]).notes if "lossy" in n]
-    assert note.startswith(
-        f"{lossy}: its coding, Vorbis, is lossy, so that the late decay is in doubt"
-    )
+    assert note.startswith(f"{lossy}: its coding, Vorbis, is lossy")
 
 
 def no_impulse_response(kind: str, t: float, rng: np.random.Generator) -> np.ndarray:
@@ -356,7 +300,7 @@ def no_impulse_response(kind: str, t: float, rng: np.random.Generator) -> np.nda
 @pytest.mark.parametrize(
     "kind", ["sweep", "maximum-length sequence", "two sounds", "interrupted noise", "a burst"]
 )
-def test_what_is_no_impulse_response_is_not_evaluated(kind: str, noise: int, t: float) -> None:
+def test_what_is_no_impulse_response_is_not_evaluated(kind, noise, t):
     """T20 of interrupted noise, 3 s in place of 0.8 s, was written below a note, and calibrated to."""
     rng = np.random.default_rng(25)
     recorded = no_impulse_response(kind, t, rng)
@@ -374,7 +318,7 @@ def test_what_is_no_impulse_response_is_not_evaluated(kind: str, noise: int, t: 
 
 @pytest.mark.parametrize("t", [0.3, 1.2])
 @pytest.mark.parametrize("kind", ["direct sound", "late reflection", "slow rise", "nothing"])
-def test_an_unusual_impulse_response_is_evaluated(kind: str, t: float) -> None:
+def test_an_unusual_impulse_response_is_evaluated(kind, t):
     rng = np.random.default_rng(26)
     h = rng.standard_normal(24000) * np.sqrt(np.pad(decay(t, 16000), (0, 24000))[:24000])
     if kind == "direct sound":
@@ -388,7 +332,7 @@ def test_an_unusual_impulse_response_is_evaluated(kind: str, t: float) -> None:
     assert not any(n.startswith("no decay") for n in analysis.notes)
 
 
-def test_decays_are_not_taken_for_clipped() -> None:
+def test_decays_are_not_taken_for_clipped():
     rng = np.random.default_rng(11)
     time = np.arange(16000) / 16000
     for bits in (10, 16, 24):
@@ -399,7 +343,7 @@ def test_decays_are_not_taken_for_clipped() -> None:
             assert clipped_samples(np.clip(rounded, -0.5, 0.5)) > 3
 
 
-def test_files(tmp_path: Path) -> None:
+def test_files(tmp_path):
     rng = np.random.default_rng(6)
     for name in ("room_LS1_MP2", "room_LS1_MP3", "other"):
         samples = response(0.5, rng)
@@ -412,7 +356,7 @@ def test_files(tmp_path: Path) -> None:
         ir.read([paths[1], paths[1]])
 
 
-def test_repeats_are_averaged_or_refused(tmp_path: Path, capsys) -> None:
+def test_repeats_are_averaged_or_refused(tmp_path, rtcal):
     """--repeats for sweep1.wav and sweep2.wav was taken, and both stayed positions of their own."""
     rng = np.random.default_rng(27)
     sweeps = [0.5 * h / np.abs(h).max() for h in (response(0.5, rng) for _ in range(3))]
@@ -426,27 +370,25 @@ def test_repeats_are_averaged_or_refused(tmp_path: Path, capsys) -> None:
     both = [tmp_path / "S1-R1.wav", tmp_path / "take2" / "S1-R1.wav"]
     assert len(ir.read(both, bands=[1000], repeats=True).measurement.pairs) == 1
     apart = [tmp_path / "S1-R1.wav", tmp_path / "S1-R2.wav"]
-    with pytest.raises(DataError, match="repeats=True has no effect, because every source"):
-        ir.read(apart, bands=[1000], repeats=True)
-    assert run("measure", *apart, "--repeats") == 2
-    assert "--repeats has no effect" in " ".join(capsys.readouterr().err.split())
+    assert "--repeats has no effect" in rtcal.refused("measure", *apart, "--repeats")
 
 
-def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
+def test_channels_are_no_receivers_unless_stated(tmp_path):
     pressure = response(0.5, np.random.default_rng(7))
     both = np.stack([pressure, 0.3 * pressure[::-1]], axis=1) / np.abs(pressure).max()
     mono = wav(0.9 * both.ravel(), 16000)
     path = tmp_path / "S1_R1.wav"
     path.write_bytes(mono[:22] + struct.pack("<HIIH", 2, 16000, 64000, 4) + mono[34:])
-    with pytest.raises(DataError, match=r"S1_R1.wav: the file has 2 channels. Choose one"):
-        ir.read(path, bands=[1000])
+    for options, said in (
+        ({}, r"S1_R1.wav: the file has 2 channels. Choose one"),
+        ({"channels": 3}, "channel 3 does not exist"),
+        ({"channels": "left"}, 'channels = "left" must be a number'),
+    ):
+        with pytest.raises(DataError, match=said):
+            ir.read(path, bands=[1000], **options)
     first = ir.read(path, bands=[1000], channels=1)
     assert first.measurement.pairs == (("S1", "R1"),)
     assert first.measurement.mean("t20") == pytest.approx(0.5, rel=0.25)
-    with pytest.raises(DataError, match="channel 3 does not exist; the file has 2 channels"):
-        ir.read(path, bands=[1000], channels=3)
-    with pytest.raises(DataError, match='channels = "left" must be a number'):
-        ir.read(path, bands=[1000], channels="left")
     pairs = ir.read(path, bands=[1000], channels="receivers").measurement.pairs
     assert pairs == (("S1", "R1-1"), ("S1", "R1-2"))
 
@@ -462,7 +404,7 @@ def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
         (lambda good: wav(np.ones(2**22 + 1)), "4194305 samples"),
     ],
 )
-def test_bad_files(tmp_path: Path, damage: Callable[[bytes], bytes], place: str) -> None:
+def test_bad_files(tmp_path, damage, place):
     path = tmp_path / "a.wav"
     path.write_bytes(damage(wav(np.exp(-np.arange(8000) / 800))))
     with pytest.raises(DataError, match=place):
@@ -478,7 +420,7 @@ def test_bad_files(tmp_path: Path, damage: Callable[[bytes], bytes], place: str)
         ({"minimum_range": {"t99": 3.0}}, "t99"),
     ],
 )
-def test_bad_arguments(tmp_path: Path, arguments: dict, place: str) -> None:
+def test_bad_arguments(tmp_path, arguments, place):
     path = tmp_path / "a.wav"
     path.write_bytes(wav(np.exp(-np.arange(8000) / 800)))
     with pytest.raises(DataError, match=place):

@@ -9,33 +9,23 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.acoustics.room_errors import target_changes
 from rtcal.support.errors import InfeasibleError
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 KUTTRUFF = rt.Kuttruff()
 PEAK = KUTTRUFF.largest_mean
 
 
 def room(mean: list[float], sigma: float = 0.2, **more: object) -> rt.Room:
-    return rt.Room(
-        name="dead",
-        volume=100,
-        materials=["wall", "floor"],
-        areas=[90, 40],
-        alpha=np.array([mean, mean]),
-        sigma=np.full((2, len(mean)), sigma),
-        centre_frequencies=[500, 1000][: len(mean)],
-        air=rt.Air(),
-        **more,
-    )
+    materials = {"wall": (90, mean, sigma), "floor": (40, mean, sigma)}
+    return room_of(materials, [500, 1000][: len(mean)], air=rt.Air(), **more)
 
 
 def at_mean(given: rt.Room, mean: float) -> np.ndarray:
     return KUTTRUFF.time(given, np.full(given.n_bands, mean * given.total_area))
 
 
-def test_tolerance_beyond_the_peak_ends_at_the_peak() -> None:
+def test_tolerance_beyond_the_peak_ends_at_the_peak():
     """The prior lies beyond the measured T and within the tolerance: nothing has to move."""
     given = room([0.9])
     t = 1.02 * at_mean(given, PEAK)
@@ -46,7 +36,7 @@ def test_tolerance_beyond_the_peak_ends_at_the_peak() -> None:
     np.testing.assert_allclose(result.alpha, given.alpha, rtol=0, atol=1e-12)
 
 
-def test_tolerance_does_not_pass_the_peak() -> None:
+def test_tolerance_does_not_pass_the_peak():
     given = room([0.95])
     within = rt.Calibration(terms.PriorDeviation(), [terms.MatchWithin(1.0)])
     result = within.build(given, KUTTRUFF).solve(1.02 * at_mean(given, PEAK))
@@ -54,7 +44,7 @@ def test_tolerance_does_not_pass_the_peak() -> None:
 
 
 @pytest.mark.parametrize("unreachable", ["raise", "nearest"])
-def test_prior_beyond_the_peak_has_no_time_before_and_everything_else(unreachable: str) -> None:
+def test_prior_beyond_the_peak_has_no_time_before_and_everything_else(unreachable):
     given = room([0.93, 0.3])
     t = np.array([at_mean(given, 0.8)[0], 100.0 if unreachable == "nearest" else 0.4])
     result = rt.calibrate(given, t, equation=KUTTRUFF, unreachable=unreachable)
@@ -63,35 +53,15 @@ def test_prior_beyond_the_peak_has_no_time_before_and_everything_else(unreachabl
     assert np.isfinite(result.gap_before[1])
     assert result.gap_after[0] == pytest.approx(0, abs=1e-9)
     assert json.loads(result.to_json())["reverberation_time_before"][0] is None
-    sentence = "T of the input cannot be calculated at 500 Hz: Kuttruff's equation does not hold"
-    assert sentence in " ".join(str(result).split())
-    assert repr(result)
+    assert "T of the input cannot be calculated at 500 Hz" in " ".join(str(result).split())
     assert len(result.unreachable) == (unreachable == "nearest")
 
 
-def test_band_without_time_beyond_the_peak_has_no_time_after() -> None:
-    given = room([0.93, 0.3])
-    result = rt.calibrate(given, [np.nan, 0.4], equation=KUTTRUFF)
-    assert np.isnan(result.reverberation_time_after[0])
-    assert np.isnan(result.air_share[0])
-    assert str(result)
-    assert result.to_json()
-
-
 @pytest.mark.parametrize("unreachable", ["raise", "nearest"])
-def test_bounds_that_lie_beyond_the_peak_are_named(unreachable: str) -> None:
+def test_bounds_that_lie_beyond_the_peak_are_named(unreachable):
     given = room([0.93], alpha_min=np.full((2, 1), 0.925))
-    with pytest.raises(
-        InfeasibleError, match=r"500 Hz: with these bounds .* is at least 0\.925, but"
-    ):
+    with pytest.raises(InfeasibleError, match=r"500 Hz: with these bounds .* is at least 0\.925"):
         rt.calibrate(given, at_mean(given, 0.5), equation=KUTTRUFF, unreachable=unreachable)
-
-
-def test_equation_that_holds_everywhere_is_asked_as_it_is() -> None:
-    """A mean coefficient of 1 is T = 0 in Eyring's equation, which is told and not hidden."""
-    given = room([1.0])
-    result = rt.calibrate(given, [0.1])
-    assert result.reverberation_time_before[0] == 0.0
 
 
 NEAR = [1e-2, 1e-13, *also(0.5, 0.1, 1e-3, 1e-5, 1e-9)]
@@ -106,9 +76,7 @@ UNCERTAIN = {
 @pytest.mark.parametrize("method", ["mle", "lse", "soft", "smooth", "robust"])
 @pytest.mark.parametrize("uncertain", UNCERTAIN)
 @pytest.mark.parametrize("below", NEAR)
-def test_near_the_peak_there_is_an_answer_for_every_method(
-    below: float, uncertain: str, method: str
-) -> None:
+def test_near_the_peak_there_is_an_answer_for_every_method(below, uncertain, method):
     """The closer to the peak, the less T determines the absorption; the other band is as it was."""
     given = room([0.6, 0.3], **UNCERTAIN[uncertain])
     peak = KUTTRUFF.exponent_of_time(given, at_mean(given, PEAK))[0]
@@ -120,17 +88,3 @@ def test_near_the_peak_there_is_an_answer_for_every_method(
     assert str(result)
     other = rt.calibrate(given, t, method, KUTTRUFF, solver="osqp")
     np.testing.assert_allclose(other.alpha, result.alpha, rtol=0, atol=1e-8)
-
-
-def test_an_uncertain_climate_is_linearised_as_the_volume_is() -> None:
-    """Half the difference between two climates, exactly where b is linear in them (Sabine)."""
-    given = room([0.3, 0.4], climate_sigma=(2, 0))
-    t = at_mean(given, 0.3)
-    warm, cold = (given.with_air(rt.Air(20 + d, 50)) for d in (2, -2))
-    sabine = target_changes(rt.Sabine(), given, t)[-2]
-    wanted = (rt.Sabine().target(cold, t) - rt.Sabine().target(warm, t)) / 2
-    np.testing.assert_allclose(sabine, wanted, rtol=1e-12)
-    small = room([0.3, 0.4], climate_sigma=(1e-3, 0))
-    warm, cold = (small.with_air(rt.Air(20 + d, 50)) for d in (1e-3, -1e-3))
-    wanted = (KUTTRUFF.target(cold, t) - KUTTRUFF.target(warm, t)) / 2
-    np.testing.assert_allclose(target_changes(KUTTRUFF, small, t)[-2], wanted, rtol=1e-6)

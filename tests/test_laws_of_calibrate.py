@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.support.errors import DataError
-from tests.conftest import also, in_order
+from tests.conftest import also, in_order, room_of
 
 METHODS = ("mle", "lse", "soft", "smooth", "robust")
 EQUATIONS = (rt.Sabine(), rt.Eyring(), rt.Kuttruff())
@@ -24,17 +24,9 @@ BANDS = [125, 250, 500, 1000, 2000]
 def room(seed: int = 1, **stated: Any) -> rt.Room:
     rng = np.random.default_rng(seed)
     alpha = rng.uniform(0.03, 0.4, (4, 5))
-    return rt.Room(
-        name="office",
-        volume=95,
-        materials=["carpet", "boards", "glass", "door"],
-        areas=[34, 80, 14, 6],
-        alpha=alpha,
-        sigma=0.3 * alpha,
-        centre_frequencies=BANDS,
-        air=rt.Air(21, 45),
-        **stated,
-    )
+    areas = {"carpet": 34, "boards": 80, "glass": 14, "door": 6}
+    materials = {n: (s, a, 0.3 * a) for (n, s), a in zip(areas.items(), alpha, strict=True)}
+    return room_of(materials, BANDS, 95, air=rt.Air(21, 45), **stated)
 
 
 def cases() -> list[Any]:
@@ -49,35 +41,29 @@ def cases() -> list[Any]:
     return [*quick, *also(*(c for c in every if c not in quick))]
 
 
-def calibrated(given: rt.Room, t: Any, method: str, equation: Any) -> Any:
-    return rt.calibrate(given, t, method, equation)
-
-
 @pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_a_calibrated_room_is_not_moved_by_the_t_that_it_has(method, equation, kind) -> None:
+def test_a_calibrated_room_is_not_moved_by_the_t_that_it_has(method, equation, kind):
     given = room(**STATED[kind])
     t = equation.reverberation_time(given) * np.array([1.2, 0.9, 0.8, 1.1, 1.0])
-    first = calibrated(given, t, method, equation)
+    first = rt.calibrate(given, t, method, equation)
     again = first.room.replace(calibration=None)
-    second = calibrated(again, first.reverberation_time_after, method, equation)
+    second = rt.calibrate(again, first.reverberation_time_after, method, equation)
     np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-9)
     assert np.nanmax(np.abs(second.gap_before)) < 1e-9
     with pytest.raises(DataError, match=r"already calibrated|twice"):
-        calibrated(first.room, t, method, equation)
+        rt.calibrate(first.room, t, method, equation)
 
 
 @pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_twice_is_the_same_bits_and_the_order_of_materials_moves_nothing(
-    method, equation, kind
-) -> None:
+def test_twice_is_the_same_bits_and_the_order_of_materials_moves_nothing(method, equation, kind):
     given = room(2, **STATED[kind])
     t = equation.reverberation_time(given) * np.array([0.8, 1.3, 1.1, 0.9, 1.2])
-    first, second = (calibrated(given, t, method, equation) for _ in range(2))
+    first, second = (rt.calibrate(given, t, method, equation) for _ in range(2))
     assert first.alpha.tobytes() == second.alpha.tobytes()
     assert first.posterior_sigma.tobytes() == second.posterior_sigma.tobytes()
     order = np.array([2, 0, 3, 1])
     other = in_order(given, order)
-    permuted = calibrated(other, t, method, equation)
+    permuted = rt.calibrate(other, t, method, equation)
     np.testing.assert_allclose(permuted.alpha, first.alpha[order], rtol=0, atol=1e-10)
     sigma = first.posterior_sigma[order]
     np.testing.assert_allclose(permuted.posterior_sigma, sigma, rtol=1e-7, atol=1e-12)
@@ -86,19 +72,19 @@ def test_twice_is_the_same_bits_and_the_order_of_materials_moves_nothing(
 
 
 @pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_twice_the_areas_and_the_volume_is_the_same_room(method, equation, kind) -> None:
+def test_twice_the_areas_and_the_volume_is_the_same_room(method, equation, kind):
     """(k V / T - 4 m V) / S has the same value, and so has each coefficient."""
     given = room(3, **STATED[kind])
     t = equation.reverberation_time(given) * np.array([0.9, 1.2, 0.8, 1.3, 1.0])
     double = given.replace(volume=2 * given.volume, areas=2 * given.areas)
-    first, second = (calibrated(r, t, method, equation) for r in (given, double))
+    first, second = (rt.calibrate(r, t, method, equation) for r in (given, double))
     np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
     np.testing.assert_allclose(second.plausibility.q, first.plausibility.q, rtol=1e-6)
     assert second.verdict.level == first.verdict.level
 
 
 @pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_a_room_of_another_size_without_air_has_t_in_proportion(method, equation, kind) -> None:
+def test_a_room_of_another_size_without_air_has_t_in_proportion(method, equation, kind):
     """T of the same coefficients grows with the length, and that is all that a calibration sees."""
     given = room(4, **STATED[kind]).replace(air=None, climate_sigma=(0, 0))
     larger = given.replace(volume=2.3**3 * given.volume, areas=2.3**2 * given.areas)
@@ -106,14 +92,16 @@ def test_a_room_of_another_size_without_air_has_t_in_proportion(method, equation
     assert equation.reverberation_time(larger) == pytest.approx(
         2.3 * equation.reverberation_time(given), rel=1e-12
     )
-    first, second = (calibrated(r, s, method, equation) for r, s in ((given, t), (larger, 2.3 * t)))
+    first, second = (
+        rt.calibrate(r, s, method, equation) for r, s in ((given, t), (larger, 2.3 * t))
+    )
     np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
     np.testing.assert_allclose(second.posterior_sigma, first.posterior_sigma, rtol=1e-5, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [{}, {"common_alpha_sigma": 0.15}])
 @pytest.mark.parametrize("method", ["mle", "soft", "smooth"])
-def test_a_material_in_two_parts_that_err_alike_is_one(method: str, kind: dict[str, Any]) -> None:
+def test_a_material_in_two_parts_that_err_alike_is_one(method, kind):
     """The smoothness of the two parts counted twice."""
     whole = room(5, **kind)
     rows = [0, 1, 1, 2, 3]
@@ -125,23 +113,14 @@ def test_a_material_in_two_parts_that_err_alike_is_one(method: str, kind: dict[s
         material_correlation={("boards", "boards behind"): 1 - 1e-7},
     )
     t = rt.Eyring().reverberation_time(whole) * np.array([0.8, 1.3, 1.1, 0.9, 1.2])
-    one, two = (calibrated(r, t, method, rt.Eyring()) for r in (whole, parts))
+    one, two = (rt.calibrate(r, t, method, rt.Eyring()) for r in (whole, parts))
     np.testing.assert_allclose(two.alpha, one.alpha[rows], rtol=0, atol=1e-5)
     np.testing.assert_allclose(two.posterior_sigma, one.posterior_sigma[rows], rtol=1e-3)
 
 
-def test_where_a_held_coefficient_would_be_without_its_bound() -> None:
+def test_where_a_held_coefficient_would_be_without_its_bound():
     """One surface, so that the unbounded estimate is (mu / sigma² + a / s²) / (1 / sigma² + 1 / s²)."""
-    room = rt.Room(
-        name="one surface",
-        volume=60,
-        materials=["wall"],
-        areas=[94],
-        alpha=[[0.05]],
-        sigma=[[0.04]],
-        alpha_min=[[0.04]],
-        centre_frequencies=[1000],
-    )
+    room = room_of({"wall": (94, 0.05, 0.04)}, [1000], 60, alpha_min=[[0.04]])
     t = rt.Eyring().time(room, 94 * np.array([0.01]))
     joint = rt.calibrate(room, t, method="soft").joint
     assert joint.active[0, 0] == -1
@@ -152,33 +131,9 @@ def test_where_a_held_coefficient_would_be_without_its_bound() -> None:
     assert joint.unbounded(joint.estimate_sigma)[0] == pytest.approx(wanted, abs=1e-9)
 
 
-def test_what_is_known_before_a_change_is_measured_where_t_was() -> None:
-    room, measured = rt.datasets.bras_cr2()
-    t = measured.reverberation_time.copy()
-    t[1] = np.nan
-    known = rt.calibrate(room, t).known
-    assert known.measured.tolist() == [True, False, True, True, True, True]
-
-
-def test_a_record_has_the_uncertainties_that_the_room_and_the_measurement_state() -> None:
-    room, measured = rt.datasets.bras_cr2()
-    result = rt.calibrate(room.replace(volume_sigma=0.05), measured)
-    record = result.to_dict()
-    assert record["target_uncertainty"] == pytest.approx(result.target_uncertainty.tolist())
-    assert [m["name"] for m in record["materials"]] == list(room.materials)
-    assert record["room_uncertainty"] in str(result).replace("\n  ", " ")
-
-
-def test_another_room_of_a_problem_has_its_bands() -> None:
+def test_another_room_of_a_problem_has_its_bands():
     room, measured = rt.datasets.bras_cr2()
     problem = rt.Calibration(rt.terms.PriorDeviation()).build(room)
     other = room.replace(centre_frequencies=[100, 200, 400, 800, 1600, 3150])
-    with pytest.raises(
-        rt.errors.DataError, match="other bands than the problem was built with: 100 Hz"
-    ):
+    with pytest.raises(DataError, match="other bands than the problem was built with"):
         problem.solve(measured, other)
-
-
-def test_a_misspelt_option_names_the_function_that_was_called() -> None:
-    with pytest.raises(TypeError, match=r"^\w*calibrate\w*\(\) got an unexpected .* 'slover'"):
-        rt.calibrate(room(), [0.5] * 5, slover="osqp")

@@ -51,18 +51,6 @@ def test_all_calls_are_counted_and_none_is_beyond_the_limit(cr2, limit, determin
         assert any(np.array_equal(alpha, result.alpha) for alpha, _ in program.calls)
 
 
-def test_a_confirmation_is_one_of_the_calls(cr2):
-    room, measured = cr2
-    program = Program(room, lambda alpha, seed: 1.1 * eyring(room, alpha))
-    result = rt.calibrate_simulator(
-        simulator(program, deterministic=False), room, measured, max_simulations=3
-    )
-    assert set(result.status) == {"converged"}
-    assert [seed for _, seed in program.calls] == [0, 0, 1]
-    assert result.simulations == 3
-    assert result.confirmation is not None
-
-
 def test_one_call_suffices_for_a_deterministic_simulator_only(cr2):
     room, measured = cr2
     program = Program(room, lambda alpha, seed: 1.2 * eyring(room, alpha))

@@ -2,73 +2,61 @@
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
-from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, run
 
 
-def unwrapped(output: str) -> str:
-    """Return what is printed, whatever its lines: they are as long as the terminal is wide."""
-    return " ".join(output.split())
-
-
-def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
+def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path, rtcal):
     room, measured = cr2
-    done, runner, command, files = begun(room, measured, tmp_path, "--decimals", "2")
-    assert done.exit_code == 0, done.output
+    step, back = begun(room, measured, tmp_path, "--decimals", "2")
     for _ in range(5):
         simulated = rt.Room.from_file(str(tmp_path / "next.toml"))
         assert np.array_equal(simulated.alpha, np.round(simulated.alpha, 2))
         table = simulate(tmp_path, 1.3)
-        done = runner.invoke(cli, [*command, table, *files])
-        assert done.exit_code == 0, done.output
-        if "Done." in unwrapped(done.output):
+        said = rtcal(*step, table)
+        if "Done." in said:
             break
-    assert done.output.count("converged") == room.n_bands
-    kept = [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")]
+    assert said.count("converged") == room.n_bands
+    kept = written(tmp_path)
     for factor, status in ((1.5, "not confirmed"), (1.31, "converged")):
         # As the page says, the end is simulated once more; a program with noise may deny it.
-        done = runner.invoke(cli, [*command, simulate(tmp_path, factor), *files])
-        assert rt.load(tmp_path / "loop.json").status[0] == status, done.output
-        assert ("Not confirmed at 125 Hz" in unwrapped(done.output)) == (factor == 1.5)
-        again = runner.invoke(cli, [*command, table, *files])
-        assert "the loop is finished" in str(again.exception)
-        back = runner.invoke(cli, ["loop", "back", str(tmp_path / "room.toml"), *files])
-        assert back.exit_code == 0, back.output
-        assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == kept
+        said = rtcal(*step, simulate(tmp_path, factor))
+        assert rt.load(tmp_path / "loop.json").status[0] == status
+        assert ("Not confirmed at 125 Hz" in said) == (factor == 1.5)
+        assert "the loop is finished" in rtcal.refused(*step, table)
+        rtcal(*back)
+        assert written(tmp_path) == kept
     final = 1.3 * rt.Eyring().reverberation_time(rt.Room.from_file(str(tmp_path / "next.toml")))
     wanted = measured.reverberation_time
     assert np.abs(final / wanted - 1).max() < 0.05
     assert np.abs(1.3 * rt.Eyring().reverberation_time(room) / wanted - 1).max() > 0.2
 
 
-def begun(room, measured, tmp_path, *more):
-    """A loop that was started in the folder; its runner, and the arguments of `next`."""
-    room.save(str(tmp_path / "room.toml"))
-    measured.save(str(tmp_path / "t.csv"))
-    files = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
-    runner = CliRunner()
-    start = [str(tmp_path / "room.toml"), str(tmp_path / "t.csv"), *files, *more]
-    done = runner.invoke(cli, ["loop", "start", *start])
-    return done, runner, ["loop", "next", str(tmp_path / "room.toml")], files
+def begun(room, measured, folder, *more):
+    """Start a loop in the folder; return `next`, but for its table, and `back`."""
+    room.save(str(folder / "room.toml"))
+    measured.save(str(folder / "t.csv"))
+    files = (folder / "room.toml", "--state", folder / "loop.json", "--out", folder / "next.toml")
+    assert run("loop", "start", *files, folder / "t.csv", *more) == 0
+    return ("loop", "next", *files), ("loop", "back", *files)
 
 
-def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path):
+def written(folder):
+    return [(folder / name).read_bytes() for name in ("loop.json", "next.toml")]
+
+
+def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path, rtcal):
     room, measured = cr2
     values = {"t20": measured.values["t30"]}
     t20 = rt.Measurement(
         centre_frequencies=room.centre_frequencies, values=values, pairs=[("S", "R")]
     )
-    _, runner, command, files = begun(room, t20, tmp_path)
-    before = (tmp_path / "loop.json").read_text()
-    done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files])
-    assert "Probably this table is the measurement" in str(done.exception)
-    assert (tmp_path / "loop.json").read_text() == before
-    done = runner.invoke(cli, [*command, str(tmp_path / "t.csv"), *files, "--again"])
-    assert "Done" in done.output
+    step, _ = begun(room, t20, tmp_path)
+    before = written(tmp_path)
+    assert "this table is the measurement" in rtcal.refused(*step, tmp_path / "t.csv")
+    assert written(tmp_path) == before
+    assert "Done" in rtcal(*step, tmp_path / "t.csv", "--again")
 
 
 def simulate(tmp_path, factor=1.4):
@@ -90,78 +78,65 @@ def simulate(tmp_path, factor=1.4):
     ],
 )
 def test_a_table_that_lacks_something_is_refused_and_nothing_is_written(
-    cr2, tmp_path, values, place
+    cr2, tmp_path, values, place, rtcal
 ):
     room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    before = [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")]
+    step, _ = begun(room, measured, tmp_path)
+    before = written(tmp_path)
     n_bands = len(next(iter(values.values())))
     table = tmp_path / "s.csv"
     rt.Measurement.from_values(room.centre_frequencies[:n_bands], **values).save(str(table))
-    done = runner.invoke(cli, [*command, str(table), *files])
-    assert isinstance(done.exception, DataError)
-    assert place in str(done.exception)
-    assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == before
+    assert place in rtcal.refused(*step, table)
+    assert written(tmp_path) == before
 
 
 @pytest.mark.parametrize(
     ("factor", "step"), [(10, 2), (0.1, 1), *also(*((f, s) for f in (0.05, 20) for s in (1, 2)))]
 )
-def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, factor, step):
+def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, factor, step, rtcal):
     """It was taken in silence: alpha went to its bounds to follow a decimal point."""
     room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
+    following, _ = begun(room, measured, tmp_path)
     for _ in range(1, step):
-        assert runner.invoke(cli, [*command, simulate(tmp_path), *files]).exit_code == 0
-    before = (tmp_path / "loop.json").read_bytes()
+        rtcal(*following, simulate(tmp_path))
+    before = written(tmp_path)
     table = simulate(tmp_path, 1.4 * factor)
-    done = runner.invoke(cli, [*command, table, *files])
-    assert ": Likely a typing error: simulated T is " in str(done.exception)
-    assert (tmp_path / "loop.json").read_bytes() == before
-    done = runner.invoke(cli, [*command, table, *files, "--again"])
-    assert done.exit_code == 0, done.output
-    assert ("simulated T is" in unwrapped(done.output)) == (step == 1)
-    # A simulator in which T is three times the equation's is none.
-    begun_anew = tmp_path / "anew"
-    begun_anew.mkdir()
-    _, runner, command, files = begun(room, measured, begun_anew)
-    assert runner.invoke(cli, [*command, simulate(begun_anew, 3), *files]).exit_code == 0
+    assert ": Likely a typing error: simulated T is " in rtcal.refused(*following, table)
+    assert written(tmp_path) == before
+    assert ("simulated T is" in rtcal(*following, table, "--again")) == (step == 1)
 
 
-def test_the_last_step_is_taken_back(cr2, tmp_path):
+def test_a_simulator_may_be_far_from_the_equation(cr2, tmp_path, rtcal):
+    step, _ = begun(*cr2, tmp_path)
+    rtcal(*step, simulate(tmp_path, 3))
+
+
+def test_the_last_step_is_taken_back(cr2, tmp_path, rtcal):
     room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    names = ("loop.json", "next.toml")
-    kept = [[(tmp_path / n).read_bytes() for n in names]]
+    step, back = begun(room, measured, tmp_path)
+    kept = [written(tmp_path)]
     for factor in (1.4, 1.5):
-        assert runner.invoke(cli, [*command, simulate(tmp_path, factor), *files]).exit_code == 0
-        kept.append([(tmp_path / n).read_bytes() for n in names])
+        rtcal(*step, simulate(tmp_path, factor))
+        kept.append(written(tmp_path))
     assert kept[0] != kept[1] != kept[2]
-    back = ["loop", "back", str(tmp_path / "room.toml"), *files]
     for left in (1, 0):
-        done = runner.invoke(cli, back)
-        assert f"now holds {left} simulation" in unwrapped(done.output)
-        assert [(tmp_path / n).read_bytes() for n in names] == kept[left]
-    assert "no simulation yet, so there is no step to take back" in str(
-        runner.invoke(cli, back).exception
-    )
+        assert f"now holds {left} simulation" in rtcal(*back)
+        assert written(tmp_path) == kept[left]
+    assert "no simulation yet" in rtcal.refused(*back)
 
 
-def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
+def test_t_of_other_coefficients_is_refused(cr2, tmp_path, rtcal):
     """A table that belongs to the room of another step was taken in: "converged" at a wrong T."""
     room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    first = (tmp_path / "next.toml").read_bytes()
-    table = simulate(tmp_path)
-    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
-    state, second = (tmp_path / "loop.json").read_bytes(), (tmp_path / "next.toml").read_bytes()
+    step, _ = begun(room, measured, tmp_path)
+    _, first = written(tmp_path)
+    rtcal(*step, simulate(tmp_path))
+    state, second = written(tmp_path)
     # The room of the first step is there again, and was simulated with other random numbers.
     (tmp_path / "next.toml").write_bytes(first)
     table = simulate(tmp_path, 1.41)
-    done = runner.invoke(cli, [*command, table, *files])
-    assert "no longer has the coefficients that" in str(done.exception)
-    assert (tmp_path / "loop.json").read_bytes() == state
+    assert "no longer has the coefficients" in rtcal.refused(*step, table, "--force")
+    assert written(tmp_path) == [state, first]
     (tmp_path / "next.toml").write_bytes(second)
-    done = runner.invoke(cli, [*command, table, *files])
-    assert "T is about the same as in the last run" in str(done.exception)
-    assert runner.invoke(cli, [*command, simulate(tmp_path), *files]).exit_code == 0
+    assert "T is about the same as in the last run" in rtcal.refused(*step, table)
+    rtcal(*step, simulate(tmp_path))

@@ -12,24 +12,17 @@ from rtcal.modes import modes_of
 from rtcal.modes.room_modes import box_modes, fill
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, ModelError
-from tests.boxes import polyhedron
+from tests.test_where_corrected import prism
 
 pytest.importorskip("skfem")
 
-L_SHAPE = polyhedron(
-    air=[((0, 2), (0, 1), (0, 1.1)), ((0, 1), (1, 2), (0, 1.1))],
-    solid=[],
-    paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
-)
-FURNISHED = polyhedron(
-    air=[((0, 5), (0, 4), (0, 2.5))],
-    solid=[((1, 2), (1, 2), (0, 0.8))],
-    paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
-)
-TEN_WALLS = polyhedron(  # a U of eight walls, with a cupboard
-    air=[((0, 4), (0, 1.5), (0, 2)), ((0, 1.2), (1.5, 3), (0, 2)), ((2.8, 4), (1.5, 3), (0, 2))],
-    solid=[((1.6, 2.4), (0, 0.6), (0, 1.2))],
-    paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
+L_SHAPE = prism([(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)], 1.1)
+# A bench stands across the room; a U has a cupboard up to its ceiling.
+BENCH = prism([(0, 0), (1, 0), (1, 0.8), (2, 0.8), (2, 0), (5, 0), (5, 2.5), (0, 2.5)], 4)
+FURNISHED = replace(BENCH, vertices=BENCH.vertices[:, [0, 2, 1]])
+CUPBOARD = [(1.6, 0), (1.6, 0.6), (2.4, 0.6), (2.4, 0)]
+TEN_WALLS = prism(
+    [(0, 0), *CUPBOARD, (4, 0), (4, 3), (2.8, 3), (2.8, 1.5), (1.2, 1.5), (1.2, 3), (0, 3)], 2
 )
 
 
