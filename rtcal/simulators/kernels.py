@@ -438,30 +438,6 @@ def add_gradient(
             heard += 1
 
 
-def most_hits(events: Any, starts: Any, held: Any) -> int:
-    """Return the largest number of hits of a path on one group of faces."""
-    return largest_sum(events, starts, held, np.empty(held.shape[1], np.int64))
-
-
-@compiled(reorder=False)
-def largest_sum(events: Any, starts: Any, held: Any, hits: Any) -> int:
-    """Return what `most_hits` returns; `most_hits` makes the array ``hits``, which is overwritten."""
-    n_codes, n_groups = held.shape
-    most = np.int64(0)
-    for path in range(len(starts) - 1):
-        for j in range(n_groups):
-            hits[j] = 0
-        for e in range(starts[path], starts[path + 1]):
-            code = np.int64(events[e])
-            if code < n_codes:
-                for j in range(n_groups):
-                    hits[j] += held[code, j]
-        for j in range(n_groups):
-            if hits[j] > most:
-                most = hits[j]
-    return int(most)
-
-
 def histogram_changed(
     batch: Batch,
     weighing: Weighing,

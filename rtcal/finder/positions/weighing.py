@@ -163,7 +163,9 @@ def decay_rate(energy: Array, bin_width: float) -> Array:
 
 
 _AT_ONCE = 8
-"""Groups of faces in one sweep: their decays share the memory of one room."""
+"""Least number of groups of faces in one sweep, in which the paths' energies are computed once."""
+_TOGETHER = 8_000_000
+"""Energies in one sweep where more groups than those are swept together: 64 MB of them."""
 
 
 @dataclass(eq=False)
@@ -233,8 +235,11 @@ class Weighing:
         ways = {True: 1 - alpha, False: np.maximum(alpha - HARD, 0.0)}
         changed = np.array([alpha + share * ways[share >= 0] for share in shares])
         width, air = room.speed_of_sound * self.tracer.bin_width, room.air_attenuation
-        for start in range(0, len(groups), _AT_ONCE):
-            some = groups[start : start + _AT_ONCE]
+        seconds = max(self.seconds, eyring_seconds(room, room.alpha))
+        of_group = changed[:, 0].size * len(self.tracer.pairs) * seconds / self.tracer.bin_width
+        at_once = max(int(_TOGETHER / of_group), _AT_ONCE)
+        for start in range(0, len(groups), at_once):
+            some = groups[start : start + at_once]
             held = np.array([np.isin(np.arange(len(alpha)), group) for group in some])
 
             def weighed(paths: Paths, bands: NDArray[np.int64], held: Any = held) -> Array:
