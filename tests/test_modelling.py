@@ -203,6 +203,18 @@ def test_constraints_do_what_they_say() -> None:
     assert np.abs(within.shift_in_sigmas).max() < np.abs(plain.shift_in_sigmas).max()
 
 
+def test_huber_lets_one_material_go() -> None:
+    """A carpet taken for concrete: its own shift grows, the others' shrinks."""
+    rng = np.random.default_rng(2)
+    room = random_room(rng, 5, 3)
+    truth = room.alpha.copy()
+    truth[4] += 12 * room.sigma[4]
+    truth = np.clip(truth, 0, 0.95)
+    t = EYRING.time(room, room.areas @ truth)
+    plain, robust = (rt.calibrate(room, t, method=m) for m in ("soft", "robust"))
+    assert np.abs(robust.shift_in_sigmas).max() > 1.5 * np.abs(plain.shift_in_sigmas).max()
+
+
 def test_an_effect_is_found_beside_alpha() -> None:
     rng = np.random.default_rng(3)
     room = random_room(rng, 5, 3).replace(sigma=np.full((5, 3), 0.002))

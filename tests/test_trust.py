@@ -31,6 +31,15 @@ def test_five_materials_and_six_bands_take_at_most_forty_lines(
     assert len(str(result).splitlines()) < 40  # and one for the files that are written
 
 
+def test_a_single_typing_error_is_stated_once(cr2) -> None:
+    room, _ = cr2
+    result = rt.calibrate(room, [0.9, 0.8, 0.7, 0.7, 0.6, 90.0], unreachable="nearest")
+    said = " ".join(str(result).split())
+    assert said.startswith("Likely a typing error at 4000 Hz")
+    assert said.count("typing error") == 2  # the second time by its letter alone
+    assert "plaster, concrete, windows, floor and ceiling stand at their lower bounds" in said
+
+
 def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
     result = rt.calibrate(*cr2)
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}
