@@ -137,6 +137,13 @@ def rtcal(capsys: pytest.CaptureFixture[str]) -> Commands:
     return Commands(capsys)
 
 
+def in_hall(hall: rt.datasets.halls.Hall, **options: Any) -> rt.simulators.PathTracing:
+    """Trace a shipped hall between its own sources and receivers, unless an option says otherwise."""
+    places = {"sources": hall.sources, "receivers": hall.receivers}
+    given = {"geometry": hall.geometry, "room": hall.room, **places} | options
+    return rt.simulators.PathTracing(**given)
+
+
 def random_room(
     rng: np.random.Generator, n: int = 6, k: int = 8, air: rt.Air | None = None
 ) -> rt.Room:

@@ -18,6 +18,7 @@ from rtcal.simulators import (
 from rtcal.simulators.base import differences, jacobian
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
+from tests.conftest import in_hall
 from tests.reference import in_place_of
 from tests.reference import paths as reference
 
@@ -25,14 +26,9 @@ from tests.reference import paths as reference
 @pytest.fixture(scope="module")
 def tracer():
     hall = halls.lecture_hall()
-    return PathTracing(
-        geometry=hall.geometry,
-        room=hall.room,
-        sources=dict(list(hall.sources.items())[:1]),
-        receivers=hall.receivers,
-        n_paths=1600,
-        scattering=np.linspace(0.3, 0.7, hall.room.n_materials),
-    )
+    first = dict(list(hall.sources.items())[:1])
+    scattering = np.linspace(0.3, 0.7, hall.room.n_materials)
+    return in_hall(hall, sources=first, n_paths=1600, scattering=scattering)
 
 
 def bent_decay(share):

@@ -12,21 +12,14 @@ import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.measured_pairs import MaterialScattering
 from rtcal.loop.positions import PositionsResult, precise
-from rtcal.simulators import PathTracing
+from tests.conftest import in_hall
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 HALL = halls.lecture_hall()
 
 
 def tracing(room, **options):
-    settings = {"n_paths": 1200, "scattering": 0.5} | options
-    return PathTracing(
-        geometry=HALL.geometry,
-        room=room,
-        sources=HALL.sources,
-        receivers=HALL.receivers,
-        **settings,
-    )
+    return in_hall(HALL, room=room, **{"n_paths": 1200, "scattering": 0.5} | options)
 
 
 def heard(room, alpha, **options):

@@ -19,11 +19,10 @@ from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.simulators import (
     ImageSource,
-    PathTracing,
     ScatteringDelayNetwork,
 )
 from rtcal.support.errors import DataError
-from tests.conftest import also, room_of
+from tests.conftest import also, in_hall, room_of
 
 HALL = halls.lecture_hall()
 ROOM = HALL.room
@@ -35,14 +34,13 @@ PLACES = {
 
 @pytest.fixture(scope="module")
 def tracer():
-    return PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
+    return in_hall(HALL, n_paths=160, scattering=0.5)
 
 
 @pytest.fixture(scope="module")
 def measured():
     """Data of many paths: to the noise of few no fit leads nearer."""
-    many = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=3000, scattering=0.5)
-    return many.simulate(ROOM.alpha * 1.1, seed=3)
+    return in_hall(HALL, n_paths=3000, scattering=0.5).simulate(ROOM.alpha * 1.1, seed=3)
 
 
 FOLDER: dict[str, Path] = {}
@@ -56,7 +54,7 @@ def few_runs(monkeypatch, kept):
 
 
 def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
-    few = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=16, scattering=0.5)
+    few = in_hall(HALL, n_paths=16, scattering=0.5)
     with pytest.raises(DataError, match="paths per source are too few"):
         rt.calibrate_positions(few, ROOM, measured, match=("t20", "edt"), more_paths=1)
     black = np.full(ROOM.alpha.shape, 0.999)

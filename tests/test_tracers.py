@@ -9,9 +9,10 @@ from rtcal.acoustics.air import Air
 from rtcal.datasets import halls
 from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import PathTracing, measurement
+from rtcal.simulators.path_tracing import measurement
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.support.errors import DataError, MissingDependencyError, TooShortError
+from tests.conftest import in_hall
 
 pytest.importorskip("pyroomacoustics")
 
@@ -20,8 +21,7 @@ POINTS = {"sources": {"S1": HALL.sources["S1"]}, "receivers": HALL.receivers}
 
 
 def path_tracer(**options):
-    settings = {"n_paths": 1600, "geometry": HALL.geometry, "room": HALL.room, **POINTS}
-    return PathTracing(**(settings | options))
+    return in_hall(HALL, **{"n_paths": 1600, **POINTS} | options)
 
 
 def ray_tracer(**options):

@@ -13,6 +13,7 @@ from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.base import Observations
 from rtcal.support.errors import DataError
+from tests.conftest import in_hall
 
 
 @pytest.fixture(scope="module")
@@ -139,13 +140,7 @@ def test_a_fit_refuses_them_before_it_simulates(
 
     monkeypatch.setattr(positions, "trace_ahead", begun)
     hall = rt.datasets.halls.corridor()
-    tracer = rt.simulators.PathTracing(
-        room=hall.room,
-        geometry=hall.geometry,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=800,
-    )
+    tracer = in_hall(hall, n_paths=800)
     times = 1 + np.arange(len(tracer.pairs) * hall.room.n_bands).reshape(-1, hall.room.n_bands) / 9
     measured = rt.Measurement(
         centre_frequencies=hall.room.centre_frequencies,

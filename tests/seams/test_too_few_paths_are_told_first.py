@@ -10,19 +10,13 @@ import rtcal as rt
 from rtcal.command.console import shown_warnings
 from rtcal.loop import positions
 from rtcal.support.errors import DataError, FewPathsWarning
+from tests.conftest import in_hall
 
 HALL = rt.datasets.halls.lecture_hall()
 
 
 def tracer(n_paths: int) -> rt.simulators.PathTracing:
-    return rt.simulators.PathTracing(
-        geometry=HALL.geometry,
-        room=HALL.room,
-        sources=HALL.sources,
-        receivers=HALL.receivers,
-        n_paths=n_paths,
-        scattering=0.5,
-    )
+    return in_hall(HALL, n_paths=n_paths, scattering=0.5)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import start
 from rtcal.support.errors import RtcalError
+from tests.conftest import in_hall
 
 
 @pytest.mark.parametrize(
@@ -43,13 +44,7 @@ def test_arguments_of_a_program() -> None:
 
 def test_a_flag_of_a_tracer() -> None:
     hall = rt.datasets.halls.corridor()
-    tracer = rt.simulators.PathTracing(
-        geometry=hall.geometry,
-        room=hall.room,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=160,
-    )
+    tracer = in_hall(hall, n_paths=160)
     tracer.observe(hall.room.alpha, ("edt",))
     with pytest.raises(RtcalError, match="again"):
         tracer.observe(hall.room.alpha, ("edt",), again=np.ones(3))
