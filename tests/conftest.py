@@ -17,6 +17,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.claim import Candidate
 from rtcal.prediction import changed_time
+from rtcal.simulators import Polyhedron
 
 settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
 settings.register_profile("quick", settings.get_profile("rtcal"), max_examples=20)
@@ -172,6 +173,16 @@ def room_of(
     of_all = {"volume": volume, "centre_frequencies": bands, "materials": [*materials]}
     parts = {"areas": areas, "alpha": np.array(alpha), "sigma": np.array(sigma)}
     return rt.Room(**{"name": "room", **of_all, **parts, **stated})
+
+
+def in_geometry(geometry: Polyhedron, bands: Sequence[float], alpha: Any, **stated: Any) -> rt.Room:
+    """The room of a geometry's materials with alpha, one number or (n_materials, n_bands)."""
+    rows = np.full((len(geometry.areas), len(bands)), alpha)
+    measures = {"volume": geometry.volume, "areas": [*geometry.areas.values()]}
+    of_all = {"materials": [*geometry.areas], "centre_frequencies": bands, "air": rt.Air(20, 50)}
+    return rt.Room(
+        **{"name": "room", "alpha": rows, "sigma": 0.1 * rows, **measures, **of_all, **stated}
+    )
 
 
 def in_order(room: rt.Room, order: Sequence[int]) -> rt.Room:

@@ -18,7 +18,7 @@ from rtcal.simulators import (
 from rtcal.simulators.base import differences, jacobian
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
-from tests.conftest import in_hall
+from tests.conftest import in_geometry, in_hall
 from tests.reference import in_place_of
 from tests.reference import paths as reference
 
@@ -76,15 +76,8 @@ def test_numpy_and_the_compiled_loops_give_the_same_derivatives_by_scattering(tr
 def test_the_derivative_by_scattering_is_that_of_other_paths():
     """Between hard walls, a soft floor and ceiling. The differences take other paths."""
     geometry = Polyhedron.shoebox([8.0, 6.0, 3.0], {wall: wall for wall in SHOEBOX_WALLS})
-    room = rt.Room(
-        name="box",
-        volume=144.0,
-        materials=list(SHOEBOX_WALLS),
-        areas=geometry.face_areas,
-        alpha=[[0.05], [0.05], [0.05], [0.05], [0.6], [0.6]],
-        sigma=np.full((6, 1), 0.01),
-        centre_frequencies=[1000.0],
-    )
+    alpha = np.array([[0.05]] * 4 + [[0.6]] * 2)
+    room = in_geometry(geometry, [1000.0], alpha, sigma=np.full((6, 1), 0.01), air=None)
 
     def traced(log_odds):
         return PathTracing(

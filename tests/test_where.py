@@ -19,7 +19,7 @@ from rtcal.finder.positions.surfaces import patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
-from tests.conftest import room_of
+from tests.conftest import in_geometry, room_of
 
 BANDS = (500.0, 1000.0, 2000.0)
 SIZE = (7.0, 5.0, 3.0)
@@ -40,18 +40,7 @@ HIDDEN = 6.0  # m², an opening in the middle of the east wall of 15 m²
 def stated() -> rt.Room:
     box = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
     alpha = np.array([[ALPHA[w]] * len(BANDS) for w in SHOEBOX_WALLS])
-    return rt.Room(
-        name="box",
-        volume=box.volume,
-        materials=[f"{w} wall" for w in SHOEBOX_WALLS],
-        areas=box.face_areas,
-        alpha=alpha,
-        sigma=0.1 * alpha,
-        centre_frequencies=BANDS,
-        air=rt.Air(20, 50),
-        surfaces=box.surfaces,
-        dimensions=SIZE,
-    )
+    return in_geometry(box, BANDS, alpha, surfaces=box.surfaces, dimensions=SIZE)
 
 
 def tracing(room: rt.Room, geometry: Polyhedron | None = None, **options: object) -> PathTracing:

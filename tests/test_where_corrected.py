@@ -15,7 +15,7 @@ from rtcal.finder.positions.surfaces import patched
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, in_geometry
 
 BANDS = (500.0, 1000.0)
 SIZE = (7.0, 5.0, 3.0)
@@ -90,25 +90,10 @@ def test_the_patch_stands_where_it_is_wanted() -> None:
         patched(box, [1], 4.0, "hole", "hole", np.array([6.0, 2.0, 1.4]))
 
 
-def room_of(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> rt.Room:
-    stated = np.full((len(geometry.areas), len(BANDS)), alpha)
-    return rt.Room(
-        name="room",
-        volume=geometry.volume,
-        materials=list(geometry.areas),
-        areas=list(geometry.areas.values()),
-        alpha=stated,
-        sigma=0.1 * stated,
-        centre_frequencies=BANDS,
-        air=rt.Air(20, 50),
-        **options,
-    )
-
-
-def case_in(geometry: Polyhedron, **options: object) -> PositionsCase:
+def case_in(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> PositionsCase:
     tracer = PathTracing(
         geometry=geometry,
-        room=room_of(geometry, **options),
+        room=in_geometry(geometry, BANDS, alpha, **options),
         sources=SOURCES,
         receivers=RECEIVERS,
         scattering=0.5,

@@ -14,6 +14,7 @@ from rtcal.finder.positions.problem import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from tests.conftest import in_geometry
 
 BANDS = (500.0, 1000.0)
 SIZE = (12.0, 4.0, 3.0)
@@ -37,16 +38,7 @@ def tracing(
 ) -> PathTracing:
     """Return a tracing in which all materials but "hole" have one alpha."""
     rows = np.array([[1.0 if m == "hole" else alpha] * len(BANDS) for m in geometry.areas])
-    room = rt.Room(
-        name="box",
-        volume=geometry.volume,
-        materials=list(geometry.areas),
-        areas=list(geometry.areas.values()),
-        alpha=rows,
-        sigma=0.1 * rows,
-        centre_frequencies=BANDS,
-        air=rt.Air(20, 50),
-    )
+    room = in_geometry(geometry, BANDS, rows)
     return PathTracing(
         geometry=geometry,
         room=room,

@@ -16,6 +16,7 @@ from rtcal.prediction.predicted import Predictions
 from rtcal.prediction.words import SIZES
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
+from tests.conftest import in_geometry
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 
@@ -27,23 +28,13 @@ PANEL = rt.Material("panel", [0.6, 0.7], [0.08, 0.08])
 WALLS = dict.fromkeys(("west", "east", "south", "north", "floor"), "plaster") | {"ceiling": "tiles"}
 
 
-def a_room(**more) -> rt.Room:
+def a_room() -> rt.Room:
     geometry = Polyhedron.shoebox(SIZE, WALLS)
     alpha = np.array([[0.12, 0.14], [0.25, 0.3]])
-    return rt.Room(
-        name="diffuse box",
-        volume=geometry.volume,
-        dimensions=SIZE,
-        materials=["plaster", "tiles"],
-        surfaces=geometry.surfaces,
-        areas=[geometry.areas[m] for m in ("plaster", "tiles")],
-        alpha=alpha,
-        sigma=0.25 * alpha,
-        centre_frequencies=BANDS,
-        scattering=np.full((2, 2), 0.6),
-        scene=rt.Scene(sources=SOURCES, receivers=RECEIVERS),
-        **more,
-    )
+    scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
+    of_box = {"surfaces": geometry.surfaces, "dimensions": SIZE, "scene": scene}
+    stated = {"sigma": 0.25 * alpha, "scattering": np.full((2, 2), 0.6), "air": None}
+    return in_geometry(geometry, BANDS, alpha, **of_box, **stated)
 
 
 def tracing(room: rt.Room, **options) -> PathTracing:

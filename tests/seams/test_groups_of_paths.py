@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-import rtcal as rt
 from rtcal.simulators import PathTracing, Polyhedron
+from tests.conftest import in_geometry
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 MATCH = ("t20", "edt", "c80", "ts", "level")
@@ -14,17 +14,7 @@ MATCH = ("t20", "edt", "c80", "ts", "level")
 
 def box(alpha: float, n_paths: int) -> PathTracing:
     geometry = Polyhedron.shoebox((5, 7, 3), {wall: wall for wall in WALLS})
-    stated = np.full((6, 1), alpha)
-    room = rt.Room(
-        name="box",
-        volume=geometry.volume,
-        materials=WALLS,
-        areas=geometry.face_areas,
-        alpha=stated,
-        sigma=0.1 * stated,
-        centre_frequencies=[1000],
-        air=rt.Air(20, 50),
-    )
+    room = in_geometry(geometry, [1000], alpha)
     return PathTracing(
         geometry=geometry,
         room=room,
