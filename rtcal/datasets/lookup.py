@@ -97,6 +97,11 @@ def _listed(name: str) -> frozenset[str]:
 
 
 @cache
+def _passing() -> frozenset[str]:
+    return _listed("places") | _listed("passing")
+
+
+@cache
 def _synonyms() -> dict[str, str]:
     """Return the file's word for each other one."""
     file = table()
@@ -122,7 +127,10 @@ def _known() -> dict[str, str]:
         *(text for part in ("names", "pieces") for pair in file[part].items() for text in pair),
         *file["near"],
         *file["phrases"].values(),
-        *(_folded(file["lists"][each]) for each in ("passing", "deciding", "coverings")),
+        *(
+            _folded(file["lists"][each])
+            for each in ("places", "passing", "vague", "deciding", "coverings")
+        ),
     ]
     words = (word for text in texts for word in re.findall(r"[^\W\d_]{2,}", _folded(text)))
     return {**{word: same.get(word, word) for word in words}, **same}
@@ -144,10 +152,11 @@ def _word(word: str) -> tuple[list[str], str]:
     near = difflib.get_close_matches(word, like, 1, _LEAST_LIKENESS)
     if near and len(word) >= _LEAST_LETTERS:
         return [known[near[0]]], ""
-    for at in range(_LEAST_PART, len(word) - _LEAST_END + 1):
-        if end := _apart(word[at:]):
-            return [word[:at], *end], word[:at]
-    return [word], word
+    ends = ((at, _apart(word[at:])) for at in range(_LEAST_PART, len(word) - _LEAST_END + 1))
+    at, end = next((each for each in ends if each[1]), (0, None))
+    if end is None or any(word[:k] in known for k in range(_LEAST_END, at)):
+        return [word], word
+    return [word[:at], *end], word[:at]
 
 
 @cache
@@ -171,7 +180,7 @@ def _apart(word: str) -> list[str] | None:
 def words(text: str) -> set[str]:
     """Return all words of a text that say what it is, as the file has them."""
     name = name_of(text)
-    return {word for word in name.thing | name.mounting if not _of_size(word)} - _listed("passing")
+    return {word for word in name.thing | name.mounting if not _of_size(word)} - _passing()
 
 
 @cache
@@ -191,7 +200,7 @@ def _plainly(text: str) -> str:
     """Return a text in small letters, with thicknesses and what is said in several words as words."""
     plain = _MANY.sub(_thickness, _folded(_CAMEL.sub(" ", text)))
     plain = re.sub(r"[_\-/&+]", " ", plain)
-    for phrase, word in table()["phrases"].items():
+    for phrase, word in sorted(table()["phrases"].items(), key=lambda each: -len(each[0])):
         plain = re.sub(rf"\b{_folded(phrase).replace(' ', '[ ]+')}s?\b", word, plain)
     return plain
 
@@ -207,21 +216,26 @@ class _Reader:
         self._where = self.thing
         self._before = ""
         self._of_noun, self._noun_first = True, False
+        self._stated, self._covered = "", False
 
     def token(self, token: str) -> None:
         """Read one word, thickness or mark."""
+        self._read(token)
+        self._covered = token in _listed("covered")
+
+    def _read(self, token: str) -> None:
         if token in ",;:()":
             self._of_noun = self._of_noun and not self.thing
             if token in "()" or self._where is not self.mounting:
                 self._where = self.thing
-        elif token in _listed("surface_after"):
+        elif token in _listed("without"):
+            self._where = []
+        elif self._noun_first and token in _listed("of_noun_first"):
+            self._before = token
+        elif token in _listed("before_surface") and self._covered:
             self.mounting += self.thing
             self.thing.clear()
             self._where, self._of_noun = self.thing, True
-        elif token in _listed("without"):
-            self._where = []
-        elif self._noun_first and token == "in":  # Italian: of
-            return
         elif token in _listed("before_mounting"):
             self._before = token
             if self.thing and self._where is self.thing:
@@ -238,13 +252,16 @@ class _Reader:
         (self.thing if moved else self._where).extend(words)
         self.foreign |= {foreign} - {""}
         self._noun_first = self._noun_first or token in _noun_first()
+        if self._noun_first and self._before in _listed("of_noun_first"):
+            self._stated = self._stated or foreign
         if self._where is self.thing and self._of_noun:
-            nouns = [word for word in words if word not in _listed("passing")]
+            nouns = [word for word in words if word not in _passing()]
             self.noun = nouns[-1] if nouns else self.noun
 
     def name(self) -> Name:
         """Return the name that was read."""
-        noun = "" if self.noun in self.foreign and self._noun_first else self.noun
+        last = "" if self.noun in self.foreign and self._noun_first else self.noun
+        noun = self._stated or last
         return Name(frozenset(self.thing), frozenset(self.mounting), noun, frozenset(self.foreign))
 
 
@@ -276,8 +293,10 @@ def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
     ``described`` their names and descriptions.
     """
     asked = name_of(text)
-    passing = _listed("passing")
-    called = {name_of(entry): entry for entry in described} | _called(part)
+    passing, places = _passing(), _listed("places")
+    stated = _called(part)
+    others = (entry for entry in described if entry not in stated.values())
+    called = {name_of(entry): entry for entry in others} | stated
     left, rank = dict[str, int](), dict[str, tuple[int, ...]]()
     for name, entry in called.items():
         if entry not in described or not name.thing or not name.thing <= asked.thing:
@@ -285,10 +304,11 @@ def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
         if not name.mounting <= asked.mounting | asked.thing:
             continue
         own = name.thing | name.mounting | _own(entry, described[entry])
-        unlike = _unaccounted(asked, name, own, weak=name.thing <= passing)
+        unlike = _unaccounted(asked, name, own, weak=name.thing <= passing | _listed("vague"))
         value = (
             -len(unlike),
             len((name.thing | name.mounting) - passing),
+            len((name.thing | name.mounting) - places),
             len(name.thing | name.mounting),
             asked.noun in name.thing,
             len(name.mounting & asked.mounting),
@@ -299,7 +319,7 @@ def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
     order = sorted(rank, key=lambda entry: rank[entry], reverse=True)
     if order and not left[order[0]]:
         return Meaning(order[0], tuple(order[1:]))
-    named = [entry for entry in order if rank[entry][3]]
+    named = [entry for entry in order if rank[entry][4]]
     return Meaning(None, (*dict.fromkeys((*named, *_near(asked.thing), *order)),))
 
 
@@ -316,7 +336,7 @@ def _unaccounted(asked: Name, name: Name, own: Collection[str], weak: bool) -> s
     not beside a place alone (``weak``).
     """
     of_size = {word for word in asked.thing | asked.mounting if _of_size(word)}
-    others = asked.thing - _listed("passing") - asked.foreign - of_size
+    others = asked.thing - _passing() - asked.foreign - of_size
     if asked.noun in asked.foreign:
         others |= {asked.noun}
     if weak:
