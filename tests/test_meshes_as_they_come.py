@@ -17,7 +17,7 @@ from rtcal.io import geometry_files, mend, mesh
 from rtcal.io.mend import volume_by_rays
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError
-from tests.conftest import run
+from tests.conftest import Commands
 
 BOX = Polyhedron.shoebox((10, 7, 4), "plaster")
 V, S = 280.0, 276.0
@@ -350,24 +350,17 @@ def test_bad_files(tmp_path: Path, name: str, content: bytes, rule: str) -> None
 # -- commands
 
 
-def said_by(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> str:
-    """Return what `rtcal import` prints, in one line."""
-    assert run("import", *arguments) == code
-    out = capsys.readouterr()
-    return " ".join((out.err if code else out.out).split())
-
-
-def test_check_needs_no_material_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_needs_no_material_list(tmp_path: Path, rtcal: Commands) -> None:
     path = obj([*walls(), GLASS, PANEL], tmp_path / "hall.obj")
     picture, mended_obj = tmp_path / "hall.png", tmp_path / "mended.obj"
-    said = said_by(capsys, "check", path, "--picture", picture, "--mended", mended_obj)
+    said = rtcal("import", "check", path, "--picture", picture, "--mended", mended_obj)
     assert "overlay: 1 faces on a larger one take its area, 2 m²" in said
     assert "panel: 1 free panels are reflectors with two sides" in said
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert rt.io.obj.read(mended_obj).areas["glass"] == pytest.approx(2)
-    again = said_by(capsys, "check", mended_obj, "--mended", tmp_path / "again.obj")
+    again = rtcal("import", "check", mended_obj, "--mended", tmp_path / "again.obj")
     assert "does not keep" not in again
-    record = json.loads(said_by(capsys, "check", path, "--json"))
+    record = json.loads(rtcal("import", "check", path, "--json"))
     assert record["volume"] == pytest.approx(V, rel=1e-3)
     assert [d["kind"] for d in record["defects"]] == ["overlay", "panel"]
     broken = obj(walls("ceiling"), tmp_path / "open.obj")
@@ -376,16 +369,16 @@ def test_check_needs_no_material_list(tmp_path: Path, capsys: pytest.CaptureFixt
         ((), "Missing argument 'MESH'"),
         *(((path, o, 1), f"No such option '{o}'") for o in ("--out", "--volume", "--mesh")),
     ):
-        assert rule in said_by(capsys, "check", *arguments, code=2)
+        assert rule in rtcal.refused("import", "check", *arguments)
 
 
-def test_a_defective_mesh_becomes_a_room_that_tracers_take(tmp_path: Path, capsys) -> None:
+def test_a_defective_mesh_becomes_a_room_that_tracers_take(tmp_path: Path, rtcal: Commands) -> None:
     path = obj([*walls(), GLASS, PANEL], tmp_path / "hall.obj")
     out = tmp_path / "made" / "room.toml"
     out.parent.mkdir()
     entries = [f"--catalogue={n}=rough_concrete" for n in (*BOX.names, "panel")]
     options = ("--catalogue=glass=glass_3mm", "--name", "Great hall", "--temperature", 20)
-    said = said_by(capsys, "catalogue", "--mesh", path, *entries, *options, "--out", out)
+    said = rtcal("import", "catalogue", "--mesh", path, *entries, *options, "--out", out)
     assert "Mesh: overlay: 1 faces" in said
     room = rt.Room.from_file(str(out))
     assert room.name == "Great hall"
@@ -395,26 +388,26 @@ def test_a_defective_mesh_becomes_a_room_that_tracers_take(tmp_path: Path, capsy
 
 
 def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, rtcal: Commands
 ) -> None:
     path = obj([("brick", p) for _, p in walls("east")], tmp_path / "open.obj")
     picture, out = tmp_path / "p.png", tmp_path / "room.toml"
-    said = said_by(capsys, "check", path, "--picture", picture, code=2)
+    said = rtcal.refused("import", "check", path, "--picture", picture)
     assert "Rays estimate a volume of 2" in said
     assert "Written" in said
     assert picture.stat().st_size > 1000
-    said = said_by(capsys, "check", path, "--open", "--picture", picture)
+    said = rtcal("import", "check", path, "--open", "--picture", picture)
     assert " estimated with rays, S = " in said
     assert "hole: " not in said.partition("Defects:")[0]
     to = ("--open", "--mended", tmp_path / "m.obj")
-    assert "--open does not repair the mesh" in said_by(capsys, "check", path, *to, code=2)
+    assert "--open does not repair the mesh" in rtcal.refused("import", "check", path, *to)
     given = ("catalogue", "--mesh", path, "--out", out, "--catalogue", "brick=brick_wall_rough")
-    said_by(capsys, *given, code=2)
+    rtcal.refused("import", *given)
     assert not out.exists()
-    assert "its faces do not close" in said_by(capsys, *given, "--open")
+    assert "its faces do not close" in rtcal("import", *given, "--open")
     room = rt.Room.from_file(out)
     assert 0 < room.volume_sigma < 0.1
     assert abs(room.volume / V - 1) < 2 * room.volume_sigma
     assert room.areas.sum() == pytest.approx(S - 28)
     assert room.scene.mesh is None
-    assert "leave one of them out" in said_by(capsys, *given, *to, code=2)
+    assert "leave one of them out" in rtcal.refused("import", *given, *to)

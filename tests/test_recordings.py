@@ -10,7 +10,7 @@ import pytest
 from rtcal.io import impulse_responses as ir
 from rtcal.io import recordings
 from rtcal.support.errors import DataError
-from tests.conftest import also, run
+from tests.conftest import Commands, also
 
 pytest.importorskip("pyfar")
 pytest.importorskip("pyrato")
@@ -302,8 +302,8 @@ def test_a_sweep_is_no_steady_noise(tmp_path: Path) -> None:
     assert np.isfinite(some.measurement.values["t20"][0, 2:]).all()
 
 
-def test_what_does_not_go_with_stopped_noise_is_refused(tmp_path: Path, capsys) -> None:
+def test_what_does_not_go_with_stopped_noise_is_refused(tmp_path: Path, rtcal: Commands) -> None:
     n = written(tmp_path / "n.wav", np.zeros(8000), 8000)
     for wrong in (("--sweep", n), ("--uncertainty",)):
-        assert run("measure", n, "--interrupted", *wrong) != 0
-        assert "cannot be given with --interrupted" in capsys.readouterr().err
+        said = rtcal.refused("measure", n, "--interrupted", *wrong)
+        assert "cannot be given with --interrupted" in said

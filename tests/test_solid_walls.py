@@ -10,7 +10,7 @@ import pytest
 from rtcal.io import mesh
 from rtcal.io.mend import MeshError
 from rtcal.support.errors import DataError
-from tests.conftest import also, run
+from tests.conftest import Commands, also
 
 Box = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
 SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
@@ -79,7 +79,7 @@ def test_furniture_stands_in_the_cavity(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("missing", [0, *also(*range(1, 6))])
 def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
-    missing: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    missing: int, tmp_path: Path, rtcal: Commands
 ) -> None:
     boxes = [*BUTT, FLOOR, ROOF]
     del boxes[missing]
@@ -87,10 +87,9 @@ def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
     with pytest.raises(MeshError, match="do not enclose a room"):
         mesh.room(path)
     for option in ([], ["--open"], ["--weld", "0.02"]):
-        assert run("import", "check", str(path), *option) == 2
-        assert "do not enclose a room" in capsys.readouterr().err
+        assert "do not enclose a room" in rtcal.refused("import", "check", path, *option)
     out = tmp_path / "room.toml"
-    assert run("import", "catalogue", "--mesh", str(path), "--open", "--out", str(out)) == 2
+    rtcal.refused("import", "catalogue", "--mesh", path, "--open", "--out", out)
     assert not out.exists()
 
 

@@ -13,7 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
-from tests.conftest import run
+from tests.conftest import Commands, run
 from tests.test_where import RECEIVERS, SOURCES, measured, stated
 from tests.test_where_page import PLACE, finding_of, verification_of
 
@@ -48,16 +48,14 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     return finding
 
 
-def test_the_next_position_is_proposed(found: Finding, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("plan", FOUND, "--json") == 0
-    record = json.loads(capsys.readouterr().out)
+def test_the_next_position_is_proposed(found: Finding, rtcal: Commands) -> None:
+    record = json.loads(rtcal("plan", FOUND, "--json"))
     assert record["places"] == [
         {"point": list(PLACE.point), "source": PLACE.source, "pairs": PLACE.pairs}
     ]
     claimed = replace(found, surface="floor")
     claimed.save(FOUND)
-    assert run("plan", FOUND) == 0
-    assert "no surfaces are in question" in " ".join(capsys.readouterr().out.split())
+    assert "no surfaces are in question" in rtcal("plan", FOUND)
 
 
 def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,19 +77,14 @@ def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.Monkey
 
 
 def test_nothing_found_is_said_and_nothing_is_written(
-    found: Finding,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    found: Finding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rtcal: Commands
 ) -> None:
     nothing = replace(found, verdict="none", named=(), family=None)
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: nothing)
     assert run("find", *FILES, "--out", "page") == 0
     assert run("apply", "page", "--out", "corrected") == 6
     assert not (tmp_path / "corrected").exists()
-    capsys.readouterr()
-    assert run("verify", "page") == 0
-    assert "Nothing to add" in " ".join(capsys.readouterr().out.split())
+    assert "Nothing to add" in rtcal("verify", "page")
     assert not (tmp_path / "page" / "gap.png").exists()
 
 
@@ -103,21 +96,11 @@ def test_nothing_found_is_said_and_nothing_is_written(
         (("--place", "a,b,c"), '--place "a,b,c" must have the form X,Y,Z in m'),
         (("--place", "6,2,0", "--form", "material"), "at is the centre of a patch"),
         (("--form", "hole"), "'hole' is not one of"),
-        (
-            ("--out", "pairs.csv"),
-            "--out pairs.csv is a file, but the results need a folder. Give a "
-            "folder, such as --out pairs",
-        ),
+        (("--out", "pairs.csv"), "--out pairs.csv is a file, but the results need a folder"),
     ],
 )
 def test_a_wrong_option_is_refused(
-    options: tuple[str, ...],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...], message: str, tmp_path: Path, rtcal: Commands
 ) -> None:
-    monkeypatch.delenv("COLUMNS", raising=False)
-    assert run("apply", FOUND, "--out", "corrected", *options) == 2
-    assert message in capsys.readouterr().err
+    assert message in rtcal.refused("apply", FOUND, "--out", "corrected", *options)
     assert not (tmp_path / "corrected").exists()

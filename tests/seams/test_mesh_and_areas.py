@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 from rtcal.datasets.examples import example
 from rtcal.io import geometry_files
+from tests.conftest import Commands, run
 
 
 @pytest.fixture
@@ -29,20 +29,13 @@ def larger_floor(files: Path) -> str:
     return str(path)
 
 
-def calibrated(room: str, files: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    with pytest.raises(SystemExit) as stop:
-        main(["calibrate", room, str(files / "pairs.csv")])
-    assert stop.value.code == 0
-    return capsys.readouterr().err
-
-
-def test_calibrate_says_where_an_area_is_not_the_meshs(
-    files: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert calibrated(str(files / "room.toml"), files, capsys) == ""
+def test_calibrate_says_where_an_area_is_not_the_meshs(files: Path, capsys) -> None:
+    assert run("calibrate", files / "room.toml", files / "pairs.csv") == 0
+    assert capsys.readouterr().err == ""
     said = "parquet has 86 m², but 56 m² in the geometry"
     room = larger_floor(files)
-    assert said in calibrated(room, files, capsys)
+    assert run("calibrate", room, files / "pairs.csv") == 0
+    assert said in capsys.readouterr().err
     # A path tracing of the same file says the same.
     tracer = geometry_files.path_tracing(rt.Room.from_file(room), n_paths=160)
     assert said in tracer.notes[0]
@@ -56,7 +49,7 @@ def test_calibrate_says_where_an_area_is_not_the_meshs(
     ],
 )
 def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
-    files: Path, capsys: pytest.CaptureFixture[str], place: str, said: str
+    files: Path, rtcal: Commands, place: str, said: str
 ) -> None:
     """A receiver in the source was refused after the minutes of the simulations."""
     path = files / "room.toml"
@@ -65,10 +58,7 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
     point = of_source if place == "S1" else place
     path.write_text(re.sub(r"(?m)^R1 = .*$", f"R1 = [{point}]", path.read_text()))
     for command in ("fit", "find"):
-        with pytest.raises(SystemExit) as stop:
-            main([command, str(path), str(files / "pairs.csv")])
-        assert stop.value.code == 2
-        assert said in " ".join(capsys.readouterr().err.split())
+        assert said in rtcal.refused(command, path, files / "pairs.csv")
         assert not (files / ".rtcal_cache").exists()
 
 
@@ -83,7 +73,7 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
     ],
 )
 def test_another_unit_between_room_and_mesh_is_refused(
-    files: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, said: str
+    files: Path, rtcal: Commands, old: str, new: str, said: str
 ) -> None:
     """A wrong unit or decimal point: no figure that follows from it could be right."""
     path = files / "room.toml"
@@ -100,8 +90,5 @@ def test_another_unit_between_room_and_mesh_is_refused(
         "loop start": ["--state", str(files / "state.json"), *made],
     }
     for command, options in commands.items():
-        with pytest.raises(SystemExit) as stop:
-            main([*command.split(), str(path), str(files / "pairs.csv"), *options])
-        assert stop.value.code == 2
-        assert said in " ".join(capsys.readouterr().err.split())
+        assert said in rtcal.refused(*command.split(), path, files / "pairs.csv", *options)
         assert not (files / "made").exists()
