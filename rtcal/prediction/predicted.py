@@ -378,7 +378,14 @@ class Prediction(TimeChange, Result):
             Row("change / s", self.mean - self.time_before, "+.2f"),
             Row("change / %", 100 * JND * self.change, "+.1f"),
             Row("half the interval / % of T", 100 * JND * self.half_width, ".1f"),
+            *([self._of_equation] if self.log_ratio().any() else []),
         ]
+
+    @property
+    def _of_equation(self) -> Row:
+        """Row of a table: T after by the equation with alpha as calibrated, without other errors."""
+        name, after = next(iter(self.by_equation.items()))
+        return Row(f"{name}'s equation alone / s", after, ".2f")
 
     def within(self, target: Target) -> list[Row]:
         """Return rows of a table: a range of T, and the probability that T is within it, by band."""
@@ -551,7 +558,7 @@ class Predictions(Result):
         found: list[Block] = [Note(head) for p in every for head in p.heads]
         found += map(Note, words.in_order([*words.joined(own), *common]))
         found += [Table(labels, every[0].rows[:2]), *beside]
-        chosen = ("90 %", "      ", "change / %")
+        chosen = ("90 %", "      ", "change / %", f"{every[0].known.equation.name}'s")
         for p in every:
             rows = [row for row in p.rows if row.name.startswith(chosen)]
             found.append(Table(labels, rows, f"{p.name}: interval and change of T"))

@@ -269,3 +269,26 @@ def test_an_unbounded_t_is_no_number_and_least_squares_says_what_it_depends_on(c
         assert (divided in " ".join(str(rt.calibrate(room, measured, method)).split())) == (
             method == "lse"
         )
+
+
+def test_a_prediction_shows_what_a_pocket_calculator_gives() -> None:
+    """A1 = A0 + 10 m² of 0.7; T by Sabine is T before times A0 / A1."""
+    surfaces = {"floor": 48, "ceiling": 48, "walls": 84}
+    room = rt.Room(
+        name="office",
+        volume=144,
+        materials=list(surfaces),
+        areas=list(surfaces.values()),
+        alpha=[[0.1]] * 3,
+        sigma=[[0.03]] * 3,
+        centre_frequencies=[1000],
+    )
+    found = rt.calibrate(room, [1.3], equation=rt.Sabine())
+    before = rt.Sabine().room_constant(room) * 144 / 1.3
+    panel = rt.Material("panel", [0.7], [0.05])
+    made = found.predict(rt.prediction.Change(add=panel, area=10))
+    row = next(row for row in made.rows if row.name == "Sabine's equation alone / s")
+    assert row.values[0] == pytest.approx(1.3 * before / (before + 7), rel=1e-9)
+    low, high = made.interval
+    assert low[0] < row.values[0] < high[0]
+    assert "alone / s" not in str(found.predict([]))
