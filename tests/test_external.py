@@ -26,16 +26,6 @@ def external(room, run, **options):
     return External(room=room, run=run, name="other program", **options)
 
 
-def test_a_callable_may_return_times_or_a_measurement(cr2):
-    room, measured = cr2
-    times = external(room, lambda alpha, seed: rt.Eyring().time(room, room.areas @ alpha))
-    assert isinstance(times, base.Simulator)
-    expected = rt.Eyring().reverberation_time(room)
-    assert base.run(times, room.alpha).mean("t20") == pytest.approx(expected)
-    whole = external(room, lambda alpha, seed: measured)
-    assert whole.simulate(room.alpha) is measured
-
-
 def test_a_command_exchanges_files(cr2):
     room, _ = cr2
     simulator = external(room, command([sys.executable, "-c", PROGRAM], room))

@@ -40,18 +40,6 @@ def test_a_catt_model_in_and_out(tmp_path, rtcal):
     assert "MATERIAL=M2" in rtcal.refused("import", "catt", hall, *bare, "--out", room)
 
 
-def test_a_table_in(tmp_path, rtcal):
-    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
-    path.write_bytes(fuzz.TABLES[0])
-    rtcal("table", path, "--out", out)
-    assert rt.Measurement.from_file(str(out)).values["t20"].tolist() == [[1.5, 1.4]]
-    path.write_bytes(b"f,RT60\n500,1.5\n")
-    assert "--decay-time t20" in rtcal.refused("table", path, "--out", out)
-    for content in (b"f,RT60\n500,1.5\n", b"RT60 500 Hz,RT60 1k\n1,2\n"):
-        path.write_bytes(content)
-        rtcal("table", path, "--decay-time", "T20")
-
-
 def test_responses_in(tmp_path, rtcal):
     pytest.importorskip("pyfar")
     pytest.importorskip("pyrato")
