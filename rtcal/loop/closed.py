@@ -281,9 +281,12 @@ class ParameterGap:
 class Loop(Result):
     """Hold a closed loop with a simulator: its simulations, the next coefficients and the result.
 
-    `start` returns a new loop, and `record` returns the loop after a further simulation; a loop itself
-    does not change. `save` and `load` keep the loop in a file between two runs of a simulation program.
-    `rtcal.calibrate_simulator` runs a whole loop with a simulator that rtcal can call.
+    In each step the reverberation equation is calibrated to a target T. The simulator is given the
+    coefficients, and the difference of its T from the measured T sets the next target. Do not make a
+    Loop yourself: `start` returns a new loop, and `record` returns the loop after a further simulation;
+    a loop itself does not change. `save` and `load` keep the loop in a file between two runs of a
+    simulation program. `rtcal.calibrate_simulator` runs a whole loop with a simulator that rtcal can
+    call.
 
     Examples
     --------
@@ -364,8 +367,8 @@ class Loop(Result):
     def calibrated(self, target: Array) -> CalibrationResult:
         """Return the calibration of the reverberation equation to a target T in s, (n_bands,).
 
-        If no alpha from 0 to 1 gives the target, the nearest possible T is used. Volume, areas and
-        climate count as exact, so that a target changes only the coefficients.
+        If no coefficients from 0 to 1 give the target, those with the nearest possible T are returned.
+        Volume, areas and climate count as exact, so that a target changes only the coefficients.
         """
         if not self._problems:
             room = self.prior.as_exact
@@ -386,7 +389,7 @@ class Loop(Result):
 
     @property
     def best(self) -> NDArray[np.int64]:
-        """Number of the step with the smallest deviation in each band, (n_bands,)."""
+        """Number of the step in ``steps``, from 0, with the smallest deviation, (n_bands,)."""
         return np.asarray(np.argmin(np.nan_to_num(np.abs(self._gaps), nan=np.inf), axis=0))
 
     @cached_property
@@ -415,8 +418,8 @@ class Loop(Result):
     def goal(self) -> Array:
         """Largest deviation in JND at which a band is done, (n_bands,): the tolerance minus the noise.
 
-        The noise is that of the simulator, and counts as large if it is unknown. The goal is at least
-        half the tolerance, because a deviation below the noise cannot be shown.
+        The noise is the standard error of the last simulated T. The goal is at least half the
+        tolerance, and exactly half if the noise is unknown.
         """
         noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
@@ -454,7 +457,10 @@ class Loop(Result):
 
     @property
     def final(self) -> Measurement | None:
-        """Simulation that gives the result: `confirmation` if there is one, otherwise `after`."""
+        """Simulation whose T is the result: ``confirmation`` if there is one, otherwise ``after``.
+
+        None before the calibrated coefficients of all bands have been simulated together.
+        """
         return self.confirmation or self.after
 
     @property
@@ -516,18 +522,21 @@ class Loop(Result):
 
     @property
     def gap(self) -> Array:
-        """Deviation of the last simulation from the matched T in JND, (n_bands,).
+        """Simulated minus measured value of the matched T in JND, (n_bands,); NaN without a measured T.
 
-        NaN without a measured T.
+        The simulated T is that of `final` or, before it exists, of each band's best step.
         """
         return gap_jnd(self.ends[1].simulated, self.wanted)
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band, such as "converged": one of `STATUSES`.
+        """Status of each band, (n_bands,): one of `STATUSES`, such as "converged".
 
-        A converged band is confirmed if the noise of the simulation `final` is within the tolerance,
-        and its deviation is within the tolerance plus the noise.
+        "converged": the deviation of the best step is within `goal`. "unreachable": T does not depend
+        on alpha, or the target has reached the end of what the equation can give. "not converging": the
+        band needs another simulation. "not confirmed": the band converged, but in the simulation
+        `final` the noise is above the tolerance, or the deviation above the tolerance plus the noise.
+        "by modes", "too few modes": the band is below the Schroeder frequency (``low``).
         """
         status = self._status_of_steps
         if self.final is None:
@@ -557,22 +566,32 @@ class Loop(Result):
 
     @property
     def compromise(self) -> dict[str, ParameterGap]:
-        """Deviations of the matched parameters, with the accuracy that each loses to the others."""
+        """Deviations before and after of each matched parameter, by its key "t20" or "edt".
+
+        One target per band cannot match two parameters exactly. ``lost`` of a `ParameterGap` is how
+        much farther, in JND, a parameter is from its measured value than the matched mean of both.
+        """
         return {p: self.gaps[p] for p in self.matched.shares}
 
     @property
     def gaps_beside(self) -> Gaps:
-        """Deviations in JND, before and after, of each measured parameter that is not matched."""
+        """Deviations of each measured parameter that is not matched, by its key, such as "c80".
+
+        Each entry is (before, after): simulated minus measured means over the pairs in JND, (n_bands,).
+        """
         return {p: (self.gaps[p].before, self.gaps[p].after) for p in self.beside}
 
     @property
     def farther(self) -> tuple[str, ...]:
-        """Names of unmatched parameters whose deviation grew by more than one JND in some band."""
+        """Keys of parameters that are not matched, and whose deviation grew by over 1 JND in a band."""
         return left(self.gaps_beside)
 
     @property
     def parameters(self) -> dict[str, Mapping[str, Array]]:
-        """Means over the pairs, measured, before and after, of each parameter that is simulated."""
+        """Means over the pairs of each simulated parameter, by its key, such as "c80".
+
+        Each entry has the keys "measured", "before" and "after", with arrays (n_bands,).
+        """
         return {p: g.means for p, g in self.gaps.items() if np.isfinite(g.means["before"]).any()}
 
     @cached_property
@@ -586,9 +605,10 @@ class Loop(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Cautions about input and result, such as coefficients at 0 or 1 or far from your input.
 
-        They are the `doubts`, and cautions for coefficients that changed by more than two sigma, for
-        curved measured decays, and for the low bands (`low`) with too few modes. A small deviation
-        alone does not confirm the result, because a simulator can give almost any T.
+        They name likely typing errors (`doubts`), a simulated T in a wrong unit, coefficients that
+        changed by more than two sigma, curved measured decays, and bands below the Schroeder frequency
+        with too few modes. A small deviation alone does not confirm the result, because coefficients
+        can be found with which a simulator gives almost any T.
         """
         return self._marks_of(self.outcome)
 
@@ -614,20 +634,20 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return a caution if a step's simulated T is wrong by a power of ten, as with a wrong unit.
+        """Return a list with a caution if a step's simulated T is a power of ten off, as in a wrong unit.
 
-        The list is empty otherwise. The expected T follows from the step before, ``last``, or from the
-        equation if ``last`` is None.
+        The list is empty otherwise. The expected T is the simulated T of the step before, ``last``,
+        times the ratio by which the equation's T changed. If ``last`` is None, it is the equation's T.
         """
         of = "the one that the coefficients give by the equation"
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
     def follows(self, step: Step, last: Step) -> bool:
-        """Return whether a step's simulated T changed as its coefficients did since the step ``last``.
+        """Return whether the simulated T of ``step`` differs from that of ``last`` as the equation's does.
 
-        The simulated T must change by at least a tenth of the change of the equation's T, in all bands
-        together, if that is more than one JND. In halls with concentrated absorption, the simulated T
-        changes by about half as much as the equation's.
+        The change of the simulated ln T must be at least a tenth of the change of the equation's ln T,
+        by a fit over all bands. True if the equation's T changes by less than one JND. In halls with
+        concentrated absorption, the simulated T changes by about half as much as the equation's.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             wanted = np.log(self._expected(step, last) / last.simulated)
@@ -643,9 +663,11 @@ class Loop(Result):
     def next_target(self) -> Array:
         """T in s to which the equation is calibrated next, (n_bands,), NaN without a measured T.
 
-        If any band needs another simulation, converged bands with a deviation above half their goal are
-        also changed; each band keeps its best step. A band without any T20 so far gets the equation's T
-        for the input coefficients. A target moves at most halfway towards one that gave no T20.
+        Before the first simulation it is the measured T. Later, ``rule`` gives the targets of the bands
+        that need another simulation, and of converged bands with a deviation above half of `goal`. All
+        other bands keep the target of their best step. A band in which no simulation had a T20 gets the
+        equation's T of the input coefficients. A target moves at most halfway, in ln T, towards a
+        target with which the simulation had no T20.
         """
         if not self.steps:
             return self.wanted.copy()
@@ -673,15 +695,19 @@ class Loop(Result):
 
     @property
     def next_alpha(self) -> Array:
-        """Coefficients to simulate next, (n_materials, n_bands), with the program's number of decimals.
+        """Coefficients to simulate next, (n_materials, n_bands), rounded to ``decimals`` decimals.
 
-        Bands that are done keep the coefficients of their best step.
+        Bands that need no other simulation keep the coefficients of their best step.
         """
         alpha = self.rounded(self.calibrated(self.next_target).alpha)
         return np.where(self._moving, alpha, self.best_alpha) if self.steps else alpha
 
     def rounded(self, alpha: Array) -> Array:
-        """Return alpha with ``decimals`` decimals, rounded up where it would fall below alpha_min."""
+        """Return coefficients (n_materials, n_bands) rounded to the loop's number of ``decimals``.
+
+        A coefficient that would fall below the room's ``alpha_min`` is rounded up. Without ``decimals``
+        nothing is rounded.
+        """
         if self.decimals is None:
             return alpha.copy()
         rounded = np.round(alpha, self.decimals)
@@ -733,28 +759,28 @@ class Loop(Result):
     ) -> Loop:
         """Return the loop after a simulation of `next_alpha`, or of the input coefficients.
 
-        If a band has lost the T20 that it had in an earlier step, its target moves back towards the
-        target of that step. After the loop is finished, one more simulation with its final coefficients
-        confirms them.
+        A band may lack a T20 that it had in an earlier step: its target then moves back towards the
+        target of that step. A simulation that is recorded once no band needs another one (``finished``)
+        becomes ``after``: it shows the T of all bands' calibrated coefficients together.
 
         Parameters
         ----------
         alpha : array (n_materials, n_bands)
             Coefficients that were simulated: `next_alpha`.
         simulated : Measurement
-            Values that the simulator gave, in the room's bands, with T20.
+            Values that the simulator gave, in the room's bands, with T20 of every pair.
         without_t20 : sequence of int, optional
-            Numbers of the bands without a T20 for ``alpha``; their T20 in ``simulated`` belongs to
-            other coefficients.
+            Numbers, from 0, of bands in which ``alpha`` gave no T20, so that you simulated other
+            coefficients there; their T20 in ``simulated`` is ignored. None by default.
         stated : bool
-            Whether ``alpha`` are your input coefficients, and not `next_alpha`.
+            True if ``alpha`` are your input coefficients in place of `next_alpha`.
 
         Raises
         ------
         DataError
-            If the loop is finished and its result was simulated, if alpha does not fit the room, or if
-            ``simulated`` has other bands or lacks the T20 of a pair in a band in which no earlier step
-            had it, or in every measured band.
+            If ``after`` exists already, if alpha does not fit the room, or if ``simulated`` has other
+            bands or lacks the T20 of a pair: in a band in which no earlier step had it, or in every
+            measured band.
         """
         if self.after is not None:
             raise DataError(
@@ -785,8 +811,8 @@ class Loop(Result):
         )
         return np.where(np.isfinite(self.wanted), own, np.nan)
 
-    def after_run(self, run: Run, simulated: Measurement) -> Loop:
-        """Return the loop that begins with a run you made, of which ``simulated`` is compared."""
+    def _after_run(self, run: Run, simulated: Measurement) -> Loop:
+        """Return the loop that begins with a run you made; ``simulated`` are its values to compare."""
         # Bands without T keep their input, or what the room modes say.
         alpha = np.where(np.isfinite(self.wanted), run.room.alpha, self.prior.alpha)
         step = self._step(simulated, alpha, self._own_target(alpha))
@@ -830,7 +856,7 @@ class Loop(Result):
         return np.asarray(lost)
 
     def back(self) -> Loop:
-        """Return the loop without its last simulation; raises DataError if it has none."""
+        """Return the loop without its last simulation; raises DataError if none was recorded."""
         if not self.steps:
             raise DataError("the loop has no simulation yet, so there is no step to take back")
         steps = self.steps if self.after is not None else self.steps[:-1]
@@ -839,10 +865,10 @@ class Loop(Result):
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], room: Room | None = None) -> Loop:
-        """Return the loop in a file that `save` wrote.
+        """Return the loop from the file ``path`` that `save` wrote.
 
-        Raises DataError if the file contains no loop, or if ``room`` is given and the loop is of
-        another room.
+        If ``room`` is given, it must have the same numbers as the room with which the loop was started.
+        Raises DataError otherwise, and if the file contains no loop.
         """
         loop = load(path)
         if not isinstance(loop, Loop):
@@ -870,12 +896,15 @@ class Loop(Result):
 
     @property
     def status_now(self) -> tuple[str, ...]:
-        """Status of each band as it is printed; while the loop is unfinished, no band has failed."""
+        """Status of each band as it is printed: "not yet" for "not converging" in an unfinished loop."""
         on = self.final is None and not self.finished
         return tuple("not yet" if on and s == "not converging" else s for s in self.status)
 
     def blocks(self) -> list[Block]:
-        """Return the tables that are printed; raises DataError for a loop without a simulation."""
+        """Return the notes and tables that `print` shows: deviation, status and parameters by band.
+
+        Raises DataError for a loop without a simulation.
+        """
         first, last = (step.simulated for step in self.ends)
         gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
         rows = [
@@ -1018,23 +1047,33 @@ def start(
     measured : Measurement
         Measurement of the room, whose mean T20, or T30, over the pairs is matched.
     rule : {"secant", "safeguarded"}
-        Rule for the next target: see `RULES`.
-    method, equation
-        Method and reverberation equation of the calibration in each step; see `rtcal.calibrate`.
+        Rule for the next target T of a band. "secant": straight line through the last two simulations,
+        in 1/T. "safeguarded": the same in ln T, with a limited slope, and between the targets with too
+        long and too short a T.
+    method : str
+        Method of the equation's calibration in each step, such as "mle"; see `rtcal.calibrate`.
+    equation : LinearEquation, optional
+        Reverberation equation that is calibrated in each step; `rtcal.Eyring` by default.
     decimals : int, optional
-        Number of decimals of alpha that the program reads.
+        Number of decimals of alpha that the program reads, from 1 to 12; by default alpha is not
+        rounded.
     tolerance : float
         Largest deviation in JND. A band is done if its deviation is within the tolerance minus the
         simulator's noise. It is confirmed if its deviation with another seed is within the tolerance
         plus the noise.
-    weights : mapping of "t20" and "edt" to a number or one per band, optional
-        Weights with which the mean T20 and the mean EDT are matched together, by their weighted
-        geometric mean. `Loop.compromise` has the accuracy that each of them loses by the other. By
-        default T20 alone is matched.
+    weights : mapping of "t20" and "edt" to a number or an array (n_bands,), optional
+        Weights, 0 or more, with which the mean T20 and the mean EDT are matched together, by their
+        weighted geometric mean. `Loop.compromise` shows how far each of them then is from its measured
+        value. By default T20 alone is matched.
     run : Run, optional
-        Simulation that you have already made, with any coefficients. It becomes the first simulation of
-        the loop. The next target is then scaled by the equation's T over the program's T (Bellows &
-        Katz 2025, Eq. 39).
+        Room and values of a simulation that you have already made, with any coefficients. It becomes
+        the first simulation of the loop. The next target is then scaled by the equation's T over the
+        program's T (Bellows & Katz 2025, Eq. 39).
+
+    Returns
+    -------
+    Loop
+        Loop whose ``next_alpha`` you simulate next, and give back to `Loop.record`.
 
     Raises
     ------
@@ -1076,7 +1115,7 @@ def start(
         notes=() if both is None else tuple(both.left_out(_COMPARED)),
     )
     loop.calibrated(loop.wanted)  # warns of a room without air
-    return loop if run is None or both is None else loop.after_run(run, both.run)
+    return loop if run is None or both is None else loop._after_run(run, both.run)
 
 
 def calibrate_simulator(
@@ -1091,7 +1130,7 @@ def calibrate_simulator(
     after_step: Callable[[Loop], None] | None = None,
     **options: Any,
 ) -> Loop:
-    """Calibrate a room's coefficients so that a simulator gives the measured mean T20.
+    """Calibrate a room's coefficients so that a simulator gives the measured T20, averaged over pairs.
 
     The input coefficients are simulated first, and a band that does not come nearer to the measured T
     keeps them. `calibrate_positions` matches the values at every position instead of the mean.
@@ -1103,11 +1142,11 @@ def calibrate_simulator(
     room, measured, rule
         Room, its measurement, and the rule for the next target: see `rtcal.loop.start`.
     exclude : sequence of (source, receiver)
-        Pairs that are left out of the measurement and of the simulation.
+        Names of the pairs that are left out of the measurement and of the simulation.
     max_simulations : int
         Largest number of simulations, at least 2 for a simulator with random numbers. One of them is
-        kept for the final coefficients: to confirm them with another seed, or because the best steps of
-        the bands differ.
+        kept for the final coefficients: to confirm them with another seed, or to simulate together the
+        coefficients of bands whose best steps differ.
     seed : int
         Seed of the simulator's random numbers in all steps. The confirmation uses ``seed + 1``.
     after_step : callable, optional
@@ -1119,13 +1158,15 @@ def calibrate_simulator(
     Returns
     -------
     Loop
-        Loop with all simulations, whose ``status`` is whether each band converged and was confirmed.
+        Finished loop: ``room`` has the calibrated coefficients, ``status`` says for each band whether
+        it converged and was confirmed, and ``steps`` has all simulations.
 
     Raises
     ------
     SimulatorError, TooShortError
-        If the simulator raises them. The error's ``loop`` is the `Loop` with all steps so far. A band
-        that has a T20 for some coefficients only raises no error, but ends as "unreachable".
+        If the simulator raises them. The error's ``loop`` is the `Loop` with all steps so far. If a
+        band has a T20 only for some of the coefficients, no error is raised: the band ends as
+        "unreachable".
     DataError
         If simulator and room differ in materials or bands, or an argument breaks its rule.
 

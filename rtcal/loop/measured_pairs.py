@@ -666,10 +666,12 @@ class ControlRuns:
     """Hold the errors that a simulator has in reference simulations of a room.
 
     A reference simulation traces a similar room with other scattering, positions and coefficients, so
-    that its differences from the simulator show how far the simulator may err.
+    that its differences from the simulator show how far the simulator may err. `rtcal.calibrate_positions`
+    makes them, and uses their covariance as the error of the simulator.
     """
 
     parameters: tuple[str, ...]
+    """Keys of the parameters, such as "t20"."""
     pairs: tuple[tuple[str, str], ...]
     """Names of source and receiver of each pair, as in `rtcal.simulators.base.Observations`."""
     errors: Array
@@ -707,7 +709,10 @@ class ControlRuns:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
 
     def at(self, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]) -> ControlRuns:
-        """Return the errors of some parameters at some pairs; raises DataError if one is missing."""
+        """Return the errors of the given ``parameters`` at the given ``pairs`` (source, receiver) only.
+
+        Raises DataError if the reference simulations lack one of them.
+        """
         if missing := [p for p in parameters if p not in self.parameters] or [
             " to ".join(p) for p in pairs if p not in self.pairs
         ]:
@@ -727,15 +732,18 @@ class ControlRuns:
     def covariance(self) -> Array:
         """Return the covariance of the simulator's error, (n, n) for n = parameters x pairs x bands.
 
-        It includes the mean error. Because there are far fewer simulations than values, the covariance
-        is averaged with one in which all pairs have the same variance: a part common to all pairs, and
-        a part of each pair.
+        It is taken about 0, so that it includes the mean error. Because there are far fewer simulations
+        than values, the covariance of the simulations has the weight 0.3, and `alike` has 0.7.
         """
         rows = self.errors.reshape(len(self.errors), -1)
         return np.asarray(_SHRINKAGE * self.alike() + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
 
     def alike(self) -> Array:
-        """Return the covariance of the errors, (n, n), if all pairs had the same variance."""
+        """Return the covariance of the errors, (n, n), as if all pairs had the same variance.
+
+        n and the order are those of `covariance`. The variance is that of an error that all pairs have
+        in common, plus that of each pair's own error.
+        """
         _, n_parameters, n_pairs, n_bands = self.errors.shape
         common = self.errors.mean(axis=2, keepdims=True)
         between = _product(common)
@@ -765,7 +773,10 @@ class ControlRuns:
         return replace(self, errors=common[:, :, np.newaxis] * left[0] + own * left[1])
 
     def with_common(self, factor: float) -> ControlRuns:
-        """Return the errors, with the part that all pairs have in common multiplied by a factor."""
+        """Return the errors, with their mean over the pairs multiplied by ``factor``.
+
+        What each pair differs by from this mean stays.
+        """
         common = self.errors.mean(axis=2, keepdims=True)
         return replace(self, errors=self.errors - (1 - factor) * common)
 

@@ -605,9 +605,9 @@ def calibrate_positions(
 ) -> PositionsResult:
     """Calibrate a room's coefficients so that a simulator gives the measured values at every position.
 
-    The mean deviation over all matched values never grows: if no better coefficients are found, the
-    input room is returned, and the result's ``refused`` is True. If a deviation above 0.5 JND is left,
-    nearly optimal coefficients with a smaller deviation are returned.
+    If no coefficients with a smaller mean deviation are found than the input ones, these are returned,
+    and the result's ``refused`` is True. If a deviation above 0.5 JND is left, nearly optimal
+    coefficients with a smaller deviation are returned.
 
     Parameters
     ----------
@@ -620,10 +620,11 @@ def calibrate_positions(
     measured : Measurement
         Measurement of source-receiver pairs that the simulator has, too.
     match : sequence of str
-        Parameters to match at every pair: keys of `rtcal.acoustics.observables`. "g" is the measured G,
-        and "level" is a level with a common reference at all positions of a source.
+        Keys of the parameters to match at every pair (`rtcal.acoustics.observables`), by default T20,
+        EDT, C80, Ts and level. "g" is the measured G, and "level" is a level with a common reference at
+        all positions of a source. Of these, those are matched that were measured.
     exclude : sequence of (source, receiver)
-        Measured pairs that are left out.
+        Names of measured pairs that are left out.
     calibration : Calibration, optional
         Further terms and constraints for the coefficients. By default only your input alpha and sigma
         count, besides the measurement.
@@ -639,13 +640,19 @@ def calibrate_positions(
         Whether the scattering coefficients of a `PathTracing` with the model "random" are fitted, too.
         If not, the input scattering is kept and counts as uncertain.
     more_paths : int
-        Factor on the number of paths of a `PathTracing`, in addition to that of `PathTracing.denser`.
+        Factor on the number of paths of a `PathTracing`, in addition to the factor 3 of
+        `PathTracing.denser`.
     seed : int
         Seed of all simulations.
     progress : callable, optional
         Function that is called with the numbers of finished and of all reference simulations.
     scheduler : str, optional
         Address of a Dask scheduler whose workers run the reference simulations; default: this machine.
+
+    Returns
+    -------
+    PositionsResult
+        Result whose ``room`` has the calibrated coefficients, with the values before and after.
 
     Raises
     ------

@@ -52,23 +52,24 @@ class Simulator(Protocol):
 
     @property
     def materials(self) -> Sequence[str]:
-        """Names of the materials that the rows of the coefficients belong to, (n_materials,)."""
+        """Names of the materials, (n_materials,): row i of the coefficients is that of material i."""
         ...
 
     @property
     def centre_frequencies(self) -> Array:
-        """Centre frequencies in Hz that the columns of the coefficients belong to, (n_bands,)."""
+        """Centre frequencies of the bands in Hz, (n_bands,), one for each column of coefficients."""
         ...
 
     @property
     def deterministic(self) -> bool:
-        """Whether the result does not depend on the seed of the random numbers."""
+        """Whether the same coefficients give the same result for any seed of the random numbers."""
         ...
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the simulated parameters for coefficients, (n_materials, n_bands).
+        """Return the simulated parameters, at least T20, for absorption coefficients ``alpha``.
 
-        ``alpha`` is read-only: the method must not change it.
+        ``alpha`` (n_materials, n_bands) is read-only: the method must not change it. ``seed`` is that
+        of the random numbers.
         """
         ...
 

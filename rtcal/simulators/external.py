@@ -76,7 +76,7 @@ class External(RoomSimulator):
         checks.flag("deterministic", self.deterministic)
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the result of the function for coefficients (n_materials, n_bands).
+        """Return what the function ``run`` gives for ``alpha`` (n_materials, n_bands) and ``seed``.
 
         Raises
         ------

@@ -977,13 +977,14 @@ class PathTracing(Tracer):
         Number of paths per source. With 8000 the mean T20 over four receivers of a 334 m³ hall has a
         standard error of about 1 %.
     n_batches : int
-        Number of independent batches of paths, whose spread gives the standard errors.
+        Number of independent batches into which the paths are divided, at least 2; their spread gives
+        the standard errors.
     scattering : float, array (n_materials,) or (n_materials, n_bands), optional
         Scattering coefficients, by default the room's. Bands with equal coefficients share their paths.
     scattering_model : {"random", "vector"}, optional
-        Model of scattering at a wall, by default the room's; see
-        `rtcal.simulators.path_tracing.ScatteringModel`. The models give different decays in long or
-        flat rooms.
+        Model of scattering at a wall, by default the room's. "random": with the probability s, the
+        scattering coefficient, in a direction by Lambert's law, otherwise specular. "vector": along
+        s·Lambert + (1 - s)·specular. The models give different decays in long or flat rooms.
     radius : float, optional
         Radius of the receivers in m, by default 0.075 times the cube root of the volume, but at most
         the distance of a receiver from the nearest wall. It changes the standard errors, not the
@@ -994,7 +995,8 @@ class PathTracing(Tracer):
         Number of threads; that of the processors by default.
     thinned : float, optional
         Time in s after which, and after each further such time, every second path ends and the others
-        count twice; see `rtcal.simulators.path_tracing.trace`.
+        count twice, up to four times. This saves time, and leaves the expected energy as it is. By
+        default no path ends before the decay.
 
     Raises
     ------
@@ -1076,11 +1078,11 @@ class PathTracing(Tracer):
         return {s: of for s, of in stated.items() if isinstance(of, Directivity)}
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return the parameters that can be used although the directivity of a source is unknown.
+        """Return the parameters of ``match`` that can be compared with a measurement.
 
-        ``match`` are keys of parameters, such as ``"c80"``. Early sound and the level near a
-        loudspeaker depend on its directivity; T20 and T30 hardly do. Raises DataError if none of them
-        can be used.
+        ``match`` are keys of parameters, such as ``"c80"``. If the directivity of a source is
+        "unknown", these are only the reverberation times: early sound and the level near a loudspeaker
+        depend on its directivity, but T20 and T30 hardly do. Raises DataError if none is left.
         """
         names = base.checked_parameters(match)
         kept = tuple(n for n in names if not self.unknown_sources or OBSERVABLES[n].part == "late")
@@ -1110,11 +1112,11 @@ class PathTracing(Tracer):
         return replace(self, room=self.room.with_air(air))
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> PathTracing:
-        """Return the path tracing with `DENSER` times ``factor`` as many paths, and so less noise.
+        """Return the path tracing with 3 times ``factor`` as many paths, and so less noise.
 
-        It takes about the same time, because paths end one after the other as the sound decays
-        (``thinned``). The default radius of receivers becomes `LARGER` times the cube root of the
-        volume. If this tracing is thinned already, the new one has only ``factor`` times its paths.
+        With the factor 1 it takes about the same time, because paths end one after the other as the
+        sound decays (``thinned``). The default radius of the receivers becomes 0.15 times the cube root
+        of the volume. If this tracing is thinned already, the new one has ``factor`` times its paths.
         ``n_batches`` is the new number of batches, None for the present one.
         """
         checks.whole("factor", factor, 1)
@@ -1132,9 +1134,9 @@ class PathTracing(Tracer):
         )
 
     def aimed(self, directivity: Mapping[str, Directivity]) -> PathTracing:
-        """Return the path tracing with other directivities of some sources, and with the same paths.
+        """Return the path tracing with other directivities of some sources, without tracing again.
 
-        ``directivity`` has these directivities by the name of the source, each with a value per band.
+        ``directivity`` has the new directivities by the name of the source, each with a value per band.
         """
         for name, of in checks.mapped("directivity", directivity).items():
             checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
@@ -1148,10 +1150,10 @@ class PathTracing(Tracer):
         return changed
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
-        """Trace paths for ``factor`` times Eyring's T, which later simulations with this seed use.
+        """Trace paths as long as ``factor`` times Eyring's T, for later simulations with this seed.
 
-        ``alpha`` (n_materials, n_bands) are the coefficients of this T. If a decay needs longer paths,
-        a later simulation traces again.
+        T is the longest of all bands for the coefficients ``alpha`` (n_materials, n_bands); the length
+        is at most 60 s. A later simulation that needs longer paths traces again.
         """
         alpha = check_alpha(self, alpha)
         seconds = min(checks.positive("factor", factor) * eyring_seconds(self.room, alpha), LONGEST)
@@ -1171,11 +1173,29 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
-        Their shape is (number, n_sources, n_receivers, n_bands, n_bins). ``number`` is the number of
-        groups into which the batches of paths are divided; None for one group per batch. The first bin
-        starts with the first sound, and decays end at least ``seconds`` s after the emission. Raises
-        DataError for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`, and for a ``number``
-        that does not divide ``n_batches``.
+        The first bin starts with the first sound. The mean over the groups of paths is the estimate.
+
+        Parameters
+        ----------
+        alpha : array (n_materials, n_bands)
+            Absorption coefficients.
+        seconds : float
+            Time in s after the emission until which the decays last at least, at most 60.
+        seed : int
+            Seed of the random numbers.
+        number : int, optional
+            Number of groups into which the batches of paths are divided; it must divide ``n_batches``.
+            By default each batch is a group.
+
+        Returns
+        -------
+        array (number, n_sources, n_receivers, n_bands, n_bins)
+            Energy in each time bin, of ``bin_width``.
+
+        Raises
+        ------
+        DataError
+            For ``seconds`` above 60, and for a ``number`` that does not divide ``n_batches``.
         """
         self._check_groups(1 if number is None else number)
         alpha = check_alpha(self, alpha)
@@ -1188,11 +1208,11 @@ class PathTracing(Tracer):
     def swept(
         self, sweep: Callable[[Paths, NDArray[np.int64]], Array], seconds: float, *, seed: int = 0
     ) -> Array:
-        """Return the decays of all bands, (..., n_bands, n_bins), from the paths of groups of bands.
+        """Return the decays of all bands, (..., n_bands, n_bins), which a function computes by group.
 
-        ``sweep`` is a function of the paths and the numbers of the bands of one group, which returns
-        their decays, (..., n_bands of the group, n_bins). The paths are traced for ``seconds`` s or
-        longer.
+        Bands of one group have the same scattering, and so the same paths. ``sweep`` is called with the
+        paths of a group, traced for ``seconds`` s or longer, and the numbers of its bands, from 0. It
+        must return their decays, (..., n_bands of the group, n_bins).
         """
         groups = self.bands_of_paths
         decays = [sweep(self.traced(int(b[0]), seconds, seed=seed), b) for b in groups]
@@ -1208,9 +1228,9 @@ class PathTracing(Tracer):
     ) -> Observations:
         """Return the parameters at each pair as `Observations`, for alpha (n_materials, n_bands).
 
-        ``match`` are keys of the parameters. The level is G of a source of known power. If ``again`` is
-        False, longer paths than those in memory are not traced. Raises the errors of `simulate`, and
-        TooShortError if the paths in memory are then too short.
+        ``match`` are keys of the parameters. "level" is G, as of a source of known power. If ``again``
+        is False, only the paths in memory are used, and TooShortError is raised if they are too short;
+        otherwise longer paths are traced if necessary. Also raises the errors of `simulate`.
         """
         most = LONGEST
         if not checks.flag("again", again):
@@ -1222,10 +1242,11 @@ class PathTracing(Tracer):
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
     ) -> Array:
-        """Return the parameters from groups of the paths, (number, n_parameters, n_pairs, n_bands).
+        """Return the parameters from each group of paths, (number, n_parameters, n_pairs, n_bands).
 
-        The differences between groups are noise. ``number`` is the number of groups, which must divide
-        ``n_batches``; ``match`` are keys of the parameters.
+        The groups are independent, so that their differences show the noise. ``number`` is the number
+        of groups, which must divide ``n_batches``. The other arguments, the scale of the values and the
+        errors are those of `observe`.
         """
         return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
@@ -1258,10 +1279,11 @@ class PathTracing(Tracer):
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
         """Return the derivatives of `observe` by alpha, (n_parameters, n_pairs, n_bands, n_materials).
 
-        They follow from the paths, because the energy E of a path that hit material j n times has dE /
-        d alpha_j = -n E / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times from few
-        paths change with alpha in small steps, and the derivatives are those of the mean over the
-        steps. Arguments and errors are those of `observe`.
+        Derivatives of decay times are those of their logarithms, as in `Observations`. They follow from
+        the paths, because the energy E of a path that hit material j n times has dE / d alpha_j = -n E
+        / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times from few paths change with
+        alpha in small steps, and the derivatives are those of the mean over the steps. Arguments and
+        errors are those of `observe`.
         """
         alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
         return np.asarray(self._derivatives(alpha, match, seed, Paths.gradient)[0])
@@ -1271,14 +1293,25 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return the derivatives of `observe` by the scattering coefficient s of each material.
 
-        The derivatives are by the log odds ln(s / (1 - s)), for the same change in all bands, and 0 for
-        s = 0 or 1. ``number`` is that of the independent groups of paths, and must divide
-        ``n_batches``: the mean over the groups is the derivative, and their differences are noise.
-        See `Paths.gradient`.
+        The derivatives are by the log odds ln(s / (1 - s)), and 0 for s = 0 or 1. They follow from the
+        numbers of hits with and without scattering (`Paths.gradient`).
+
+        Parameters
+        ----------
+        alpha : array (n_materials, n_bands)
+            Absorption coefficients.
+        match : sequence of str
+            Keys of the parameters, such as "t20".
+        number : int
+            Number of independent groups of paths, which must divide ``n_batches``.
+        seed : int
+            Seed of the random numbers.
 
         Returns
         -------
         array (number, n_parameters, n_pairs, n_bands, n_materials)
+            Derivatives from each group of paths: their mean is the estimate, and their differences show
+            the noise.
 
         Raises
         ------
@@ -1336,8 +1369,8 @@ class PathTracing(Tracer):
     def traced(self, band: int, seconds: float, *, seed: int = 0) -> Paths:
         """Return the paths of a band, traced for ``seconds`` s or longer.
 
-        ``band`` is the number of the band, from 0. Paths in memory are used while the seed stays the
-        same. Raises DataError for ``seconds`` above `rtcal.simulators.path_tracing.LONGEST`.
+        ``band`` is the number of the band, from 0. Paths in memory are used if they are long enough and
+        of the same ``seed``. Raises DataError for ``seconds`` above 60.
         """
         if checks.whole("band", band, 0) >= self.room.n_bands:
             raise DataError(

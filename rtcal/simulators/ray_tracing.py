@@ -44,11 +44,19 @@ class RayTracing(Tracer):
 
     Parameters
     ----------
-    geometry, room, sources, receivers, n_batches, scattering
-        Arguments as for `rtcal.simulators.PathTracing`. Sources are omnidirectional. Bands with equal
-        scattering coefficients are traced together.
+    geometry : Polyhedron
+        Geometry whose walls have the room's materials, and whose volume is the room's within 10 %.
+    room : Room
+        Room with the materials, the bands, the air and the speed of sound.
+    sources, receivers : mapping of str to (x, y, z)
+        Positions in m, inside the room. Sources are omnidirectional.
+    scattering : float, array (n_materials,) or (n_materials, n_bands), optional
+        Scattering coefficients, by default the room's. Bands with equal coefficients are traced
+        together.
+    n_batches : int
+        Number of independent tracings, at least 2; their spread gives the standard errors.
     n_rays : int
-        Number of rays per source.
+        Number of rays per source, in all batches together.
     radius : float, optional
         Radius of all receivers in m, by default 0.075 times the cube root of the volume, but at most
         the distance of any receiver from the nearest wall.
@@ -87,8 +95,9 @@ class RayTracing(Tracer):
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
         Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins), and they last ``seconds``
-        s. The first bin starts with the direct sound, whose mean energy is 1/(4 pi r²). Later energy is
-        too high by a factor of up to 2, because pyroomacoustics counts scattered sound twice.
+        s, at most 60. ``alpha`` is (n_materials, n_bands). The first bin starts with the direct sound,
+        whose mean energy is 1/(4 pi r²) at the distance r. Later energy is too high by a factor of up
+        to 2, because pyroomacoustics counts scattered sound twice.
         """
         alpha = np.maximum(check_alpha(self, alpha), LEAST_ALPHA)
         check_seconds(seconds)

@@ -214,8 +214,11 @@ class ImageSource(ShoeboxSimulator):
 
     Parameters
     ----------
-    room, sources, receivers
-        Room and positions as for `ShoeboxSimulator`.
+    room : Room
+        Room with dimensions, and with one material or a surface for each of its six walls
+        (`ShoeboxSimulator` has the rules).
+    sources, receivers : mapping of str to (x, y, z)
+        Positions in m, inside the room.
     duration : float
         Length of the decay in s after the direct sound. Two thirds of T are enough for T20. The number
         of images grows with the cube of the duration.
@@ -267,8 +270,9 @@ class ImageSource(ShoeboxSimulator):
     def decays(self, alpha: Array) -> tuple[Array, float]:
         """Return energy decays for coefficients ``alpha``, and the width of their time bins in s.
 
-        The decays are (n_pairs, n_bands, n_bins), from the direct sound on. The air attenuates each bin
-        by the mean distance of its images.
+        The decays are (n_pairs, n_bands, n_bins) in 1/m² for a source of unit energy, from the direct
+        sound on. The air attenuates each bin by the mean distance of its images. ``alpha`` is
+        (n_materials, n_bands).
         """
         from rtcal.simulators import kernels
 
