@@ -126,27 +126,32 @@ class Target:
         return np.asarray(np.isfinite(self.low) | np.isfinite(self.high))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the shortest and the longest T in s and their source as plain numbers and text."""
+        """Return a dict for JSON with ``low`` and ``high``, T in s per band, and the text ``source``.
+
+        A limit that does not exist (NaN) is None.
+        """
         ends = {"low": json_numbers(self.low), "high": json_numbers(self.high)}
         return {**ends, "source": self.source}
 
     def widened(self, factor: float) -> Target:
-        """Return the range with T from ``low`` / factor to ``high`` times factor, at most 100 s."""
+        """Return the range from ``low`` / ``factor`` to ``high`` times ``factor``, at most 100 s."""
         return Target(self.low / factor, np.minimum(self.high * factor, LONGEST), self.source)
 
 
 def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
     """Return the range of T that DIN 18041:2016 requires for a room of group A, per octave.
 
-    T at middle frequencies is a lg V + b. From 250 to 2000 Hz the range is 0.8 to 1.2 times this T; at
-    125 and 4000 Hz it is wider. Other bands have no range.
+    The required T at middle frequencies is a lg V + b, with a and b of the group (`DIN_18041`).
+    From 250 to 2000 Hz the range is 0.8 to 1.2 times this T. At 125 Hz it is 0.65 to 1.45 times and
+    at 4000 Hz 0.65 to 1.2 times this T, but sports rooms (A5) have no range there. Other bands have
+    no range.
 
     Parameters
     ----------
     group : {"A1", "A2", "A3", "A4", "A5"}
-        Use of the room: music, lectures, teaching, inclusive teaching, sports.
+        Use of the room, in this order: music, lectures, teaching, inclusive teaching, sports.
     volume : float
-        Volume of the room in m³.
+        Volume V of the room in m³, for example 30 to 5000 m³ for A3.
     centre_frequencies : sequence (n_bands,)
         Centre frequencies in Hz.
 
@@ -374,13 +379,13 @@ class Change:
         return self.add if self.by is None else self.by
 
     def exchanged(self, room: Room) -> tuple[float, Material | None]:
-        """Return the area in m² that the changed surface loses, and the added material with its area.
+        """Return the area in m² that is exchanged, and the added material with this area.
 
-        The surface is the material of ``room`` that is covered, removed or opened; the area is 0 if no
-        surface changes, and the material is None if none is added. For pieces the number of pieces
-        stands in place of the area. Raises DataError if the room has less of the material than is
-        taken, if more than `MOST_ADDED` times the room's surface is added, or if an area is given for
-        pieces or a number for a surface.
+        The area is that of the change, or the whole area of the material of ``room`` that is covered,
+        removed or opened; 0 if the change states none. The material is None if none is added. For
+        pieces the number of pieces stands in place of the area. Raises DataError if the room has less
+        of the material than is taken, if more than 10 times the room's surface is added, or if an area
+        is given for pieces or a number for a surface.
         """
         taken, error = self.area or self.number or 0.0, 0.0
         stated = "area" if self.number is None else "number"
@@ -758,7 +763,23 @@ class TreatmentsFile(FileTable):
 
 @dataclass(frozen=True)
 class Variant:
-    """Changes of a room that are planned together, with a name and a cost in any currency.
+    """Changes of a room that are planned together, to be compared with other variants.
+
+    Parameters
+    ----------
+    name : str
+        Name of the variant in printed text.
+    changes : tuple of Change
+        Changes in the order in which they are made; () for the room as it is.
+    cost : float, optional
+        Cost of the changes in any currency, 0 or more; by default unknown.
+    simulated : Measurement, optional
+        Values that a simulation program gave for the room after the changes.
+
+    Raises
+    ------
+    DataError
+        If ``cost`` or ``simulated`` breaks its rule.
 
     Examples
     --------
@@ -770,7 +791,6 @@ class Variant:
     changes: tuple[Change, ...]
     cost: float | None = None
     simulated: Measurement | None = None
-    """Values that a simulation program gave for the room after the changes."""
 
     def __post_init__(self) -> None:
         if self.simulated is not None:
@@ -902,11 +922,11 @@ class Treatment:
     largest : float
         Largest area that may be put in, in m².
     cost : float
-        Cost per m², in any currency; 0 or more.
+        Cost per m² in any currency, from 0 to 1e9.
     covers : str, optional
         Name of the room's material that is covered; the treatment is free-standing by default.
     unit : float, optional
-        Area of one panel in m², if only whole panels are put in; any area by default.
+        Area of one panel in m², if only whole panels are put in, at most 500; any area by default.
 
     Raises
     ------

@@ -192,9 +192,11 @@ class Observable(ABC):
         return np.full(np.shape(values), np.nan)
 
     def between_teams(self, frequencies: Array) -> Array:
-        """Return the standard deviation of the observed quantity between measuring teams, (n_bands,).
+        """Return by how much teams that measure the same room and pair differ, (n_bands,).
 
-        ``frequencies`` (n_bands,) are in Hz; between octaves the values are interpolated.
+        The values are standard deviations, of the logarithm for decay times and Ts, and of the
+        parameter itself for all others. ``frequencies`` (n_bands,) are in Hz; between octaves the
+        values are interpolated.
         """
         return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), self.teams))
 

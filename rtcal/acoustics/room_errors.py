@@ -33,6 +33,9 @@ from rtcal.support.types import Array
 class Assumptions:
     """Assumed uncertainties of a prediction of T after a change of the room.
 
+    All are from 0 to 1. Without an argument they have the usual values, which were chosen on simulated
+    and measured rooms.
+
     Parameters
     ----------
     volume, areas : float
@@ -46,8 +49,9 @@ class Assumptions:
         Standard deviation of ln f, where f is the factor by which the equation counts the absorption of
         a material too high or too low, the same before and after the change.
     least : float
-        Standard deviation of a further error of each material's f alpha, as an absorption coefficient.
-        It adds the standard deviation least / alpha to ln f, which is large for small alpha.
+        Standard deviation of a further error of each material, in units of the absorption coefficient,
+        which is the same for large and small alpha. It adds least / alpha to the standard deviation of
+        ln f, in the sum of squares.
     evenness, evenness_sigma : float
         Mean and standard deviation of the number that interpolates ln T if the surfaces of one axis
         absorb more than the others: 0 is the shortest T of three equations (the room's own and those
@@ -55,8 +59,8 @@ class Assumptions:
     one_surface : float
         Probability that all exchanged surfaces are on one axis, if the room does not give their axes.
     own : float
-        Relative standard deviation of all further errors of the change of ln T between two states of
-        the room.
+        Standard deviation of all further errors of the change of ln T between two states of the room,
+        as a share of this change.
     changed : float
         Least standard deviation of a new material's coefficients in predictions at positions. A
         coefficient with sigma = 0 stays exact.

@@ -83,15 +83,18 @@ def solve(
     Returns
     -------
     Answer
-        Coefficients, D and a status per problem. A target b within 16 n eps sum |S bound| of the least
-        or largest reachable value counts as that value; D is then the nearest to 0 that is optimal.
+        ``alpha`` (..., n), the ``multiplier`` D (...) in 1/m², and a ``status`` (...) per problem: 0
+        solved, 1 or 2 if b is below or above what the bounds allow, 3 for invalid values: NaN, a
+        negative area, a negative sigma or one below 1e-140, lower above upper, or a fixed mu outside
+        the bounds. With a status other than 0, alpha and D are NaN. Rounding is allowed for: b counts
+        as the least or largest reachable value within 16 n eps sum |S bound| of it, where eps is
+        2.2e-16. D is then the nearest to 0 that is optimal.
 
     Raises
     ------
     DataError
-        If shapes do not fit, or a value is no number or masked. A problem with NaN, a negative area, a
-        negative sigma or one between 0 and `LEAST_SIGMA`, lower above upper, or a fixed mu outside the
-        bounds raises no error: its status is `BAD_INPUT`.
+        If shapes do not fit, or a value is no number or masked. Invalid values of single problems raise
+        no error.
 
     References
     ----------
@@ -157,7 +160,8 @@ def least_squares(mu: Array, areas: Array, target: Array | float) -> Array:
     All coefficients count as equally uncertain: alpha = mu - C S with C = (S'mu - b) / S'S (Bellows &
     Katz 2025, Eqs. 9, 10). ``mu`` (n_materials,) or (n_materials, n_bands) are the input coefficients,
     ``areas`` S (n_materials,) are in m², and ``target`` b, a number or (n_bands,), is the absorption
-    area in m². Coefficients may be below 0 or above 1.
+    area in m². Coefficients may be below 0 or above 1. Raises DataError if shapes do not fit, a value
+    is not finite, or an area is not above 0.
 
     Examples
     --------
@@ -185,7 +189,8 @@ def maximum_likelihood(mu: Array, sigma: Array, areas: Array, target: Array | fl
     Raises
     ------
     DataError
-        If shapes do not fit, a value is not finite, or all sigma of a band are 0.
+        If shapes do not fit, a value is not finite, an area is not above 0, a sigma is below 0, or all
+        sigma of a band are 0.
 
     Examples
     --------
@@ -204,7 +209,8 @@ def multiplier(mu: Array, sigma: Array, areas: Array, target: Array | float) -> 
     The calibrated coefficients are mu - D S sigma². D = (S'mu - b) / sum S² sigma² is one number, or
     (n_bands,) (Bellows & Katz 2025, Eqs. 23 to 25). ``mu`` and ``sigma`` are the input coefficients and
     their standard deviations, (n_materials,) or (n_materials, n_bands). ``areas`` S (n_materials,) are
-    in m², and ``target`` b is the absorption area in m² that the measured T needs.
+    in m², and ``target`` b is the absorption area in m² that the measured T needs, a number or
+    (n_bands,). Errors are those of `maximum_likelihood`.
     """
     mu, areas, target = _checked(mu, areas, target)
     sigma = _finite("sigma", sigma)
@@ -232,7 +238,8 @@ def scaling(mu: Array, areas: Array, target: Array | float) -> Array:
     Raises
     ------
     DataError
-        If shapes do not fit, or if S'mu = 0, so that no factor gives b.
+        If shapes do not fit, a value is not finite, an area is not above 0, or S'mu = 0, so that no
+        factor gives b.
 
     Examples
     --------

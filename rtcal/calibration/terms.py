@@ -93,9 +93,11 @@ class Model:
         self.nonnegative: list[Any] = []
 
     def parameter(self, shape: Any, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a cvxpy parameter of a shape, whose value in each solve is ``compute(numbers)``.
+        """Return a cvxpy parameter for your expression, with a value that changes between solves.
 
-        ``numbers`` are the values of room and measurement (`rtcal.calibration.unknowns.Numbers`).
+        ``shape`` is the parameter's shape, () for a number. Before each solve, its value is set to
+        ``compute(numbers)``: a function of the values of room and measurement, such as ``numbers.time``
+        (`rtcal.calibration.unknowns.Numbers`).
         """
         parameter = cp.Parameter(shape)
         self.parameters.append((parameter, compute))
@@ -548,7 +550,11 @@ class MatchWithin(ExactMatch):
         return np.fmin(low, numbers.target), np.fmax(high, numbers.target)
 
     def label(self, row: int, layout: Layout) -> str:
-        """Return the text for messages by which a user knows the matched band, as in `ExactMatch`."""
+        """Return the text for messages by which a user knows the matched band.
+
+        ``row`` is the band's number from 0, counted over all bands of all configurations, and
+        ``layout`` the order of the unknowns.
+        """
         return f"match of T within {self.jnd:g} JND at {layout.band_label(row)} (m² of absorption)"
 
 

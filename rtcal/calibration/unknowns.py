@@ -346,8 +346,9 @@ class Observed:
     Parameters
     ----------
     matrix : array (n_observations, n_materials * n_bands)
-        Derivatives of the values by alpha, material by material and band. Materials that share a
-        coefficient have separate columns.
+        Derivatives of the values by alpha. The columns are ordered as ``alpha.ravel()``: all bands of
+        the first material, then those of the second. Materials that share a coefficient have separate
+        columns.
     values : array (n_observations,)
         Observed values.
     covariance : array (n_observations, n_observations)
@@ -387,13 +388,13 @@ class Observed:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
     def over(self, layout: Layout, mu: Array, sigma: Array) -> Array:
-        """Return the data as an array [R, z]: their term is ½ |R x - z|² plus a constant.
+        """Return the observations as R and z of the term ½ |R x - z|² that is minimised.
 
         x are the deviations of the coefficients from their input ``mu`` (n_alpha,), in units of
-        ``sigma`` (n_alpha,). The array is (n_alpha, n_alpha + 1): the upper triangular matrix R of a QR
-        decomposition, and z as its last column. Derivatives by materials that share their coefficients
-        are added up. Raises DataError if ``matrix`` has not one column for each material and band of
-        ``layout``.
+        ``sigma`` (n_alpha,). The returned array is (n_alpha, n_alpha + 1): the upper triangular matrix
+        R of a QR decomposition, and z as its last column. Derivatives by materials that share their
+        coefficients are added up. ``layout`` has the order of the coefficients; raises DataError if
+        ``matrix`` has not one column for each of its materials and bands.
         """
         n, k = len(layout.materials) * layout.n_bands, layout.n_bands
         if self.matrix.shape[1] != n:

@@ -48,7 +48,7 @@ _LEAST_LIKENESS = 0.76
 
 
 def names() -> dict[str, str]:
-    """Return the name and the description of each material in the catalogue.
+    """Return the description of each material in the catalogue, by the material's name.
 
     Raises MissingDependencyError if pyroomacoustics, which has the catalogue, is not installed.
     """
@@ -90,8 +90,9 @@ def material(
     centre_frequencies : sequence (n_bands,)
         Centre frequencies in Hz of octaves that the catalogue has, within 125 to 8000 Hz.
     in_situ_factor : float
-        Factor between sigma and ISO 12999-2's standard deviation between laboratories. Above 4 kHz,
-        where the standard has no value, sigma is that at 4 kHz. An open window's sigma is 0.
+        Factor by which sigma is larger than ISO 12999-2's standard deviation between laboratories,
+        because a material in a room differs more from a table than two laboratories differ. Above
+        4 kHz, where the standard has no value, sigma is that at 4 kHz. An open window's sigma is 0.
 
     Raises
     ------
@@ -133,7 +134,10 @@ _OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 
 
 def pieces() -> dict[str, str]:
-    """Return the name of each piece, such as a person, and which published values it is from."""
+    """Return, by the name of each kind of piece, the published values that its absorption area is from.
+
+    Pieces are things that are counted, such as persons and chairs.
+    """
     works = {key: each["work"] for key, each in _tabulated()["source"].items()}
     return {
         each["name"]: _FROM[len(each["row"]) > 1, "extremes" in each]
@@ -150,7 +154,11 @@ _FROM = {
 
 
 def pages(names: Collection[str]) -> list[str]:
-    """Return a line for each source of these entries: the work, and a page with a copy of its table."""
+    """Return a line for each source of these entries: the work, and a page with a copy of its table.
+
+    ``names`` are those of materials and pieces of the catalogue. Materials that are in pyroomacoustics'
+    table have no line.
+    """
     rows = (row for each in _tabulated()["piece"] if each["name"] in names for row in each["row"])
     used = {row["source"] for row in rows}
     used |= {source for source, rows in _published().items() if {*rows} & {*names}}
@@ -164,11 +172,13 @@ def pages(names: Collection[str]) -> list[str]:
 def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array) -> Piece:
     """Return several pieces of one kind, such as chairs, with the absorption area of each piece.
 
-    The absorption area in m² is the mean of published values, which ``pieces.toml`` has with their
-    sources; for some pieces these are a typical lowest and highest value. The uncertainty sigma is the
-    standard deviation of the values, or of a uniform distribution between the lowest and the highest.
-    sigma over the area is at least the root mean square of this ratio over all pieces, which is also
-    the ratio of a piece with one value; at 8000 Hz it is that of 4000 Hz. sigma is at least 0.01 m².
+    The absorption area in m² is the mean of published values (`pieces` names them). The uncertainty
+    sigma of the area is the standard deviation of these values; where they are a typical lowest and
+    highest one, it is that of a uniform distribution between them.
+
+    sigma has two lower limits: 0.01 m², and a share of the area, which is the root mean square of sigma
+    over area in the catalogue. A piece with one published value has this share. At 8000 Hz the ratio is
+    that of 4000 Hz.
 
     Parameters
     ----------
@@ -346,12 +356,13 @@ def _in_letters(name: str, described: Mapping[str, str]) -> list[str]:
 
 
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
-    """Return the names of entries whose name or description resembles a material's name.
+    """Return the catalogue's names of materials that resemble a name in your own words.
 
-    ``name`` is that of the material, and ``most`` the largest number of names to return. ``among`` has
-    entries to choose from, as name to description; None for the catalogue's. The entry that the name
-    means (`rtcal.datasets.lookup`) is first. For the others, rare words count more than frequent ones,
-    and words of an entry's name more than those of its description.
+    ``name`` is your name of the material, and ``most`` the largest number of names to return. ``among``
+    has the entries to choose from, descriptions by name; by default all materials of the catalogue.
+    First comes the entry that the name means, if it means one (`rtcal.datasets.lookup`). The others are
+    ordered by the words that they share with the name: rare words count more than frequent ones, and
+    words of an entry's name more than those of its description.
 
     Examples
     --------

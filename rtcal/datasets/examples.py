@@ -38,6 +38,9 @@ def path(name: str) -> Path:
 def bras_cr2() -> tuple[Room, Measurement]:
     """Return the seminar room CR2 of the BRAS benchmark and its measured T30.
 
+    The room has 146 m³ and five materials, with input coefficients from the data base. T30 is the mean
+    over the positions in the six octaves from 125 to 4000 Hz.
+
     Aspoeck, Brinkmann, Ackermann, Weinzierl, Vorlaender: BRAS - Benchmark for Room Acoustical
     Simulation, doi 10.14279/depositonce-6726.3, CC BY-SA 4.0.
     """
@@ -57,11 +60,12 @@ _HIDDEN = {
 
 
 def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
-    """Return a simulated room in which an effect is missing from the model, and the true effect.
+    """Return the case of a simulated room in which the model lacks an effect, and the true effect.
 
-    The first value is the case for `rtcal.find`. The second value has the effect, and the true
-    ``alpha`` of the materials. The rooms were simulated by a program that is independent of rtcal
-    (`benchmarks/studies/hidden_world`).
+    The first value is the case for `rtcal.find`. The second value is a dict with the true ``alpha`` of
+    the materials, (n_materials, n_bands), and the effect: ``opening_area_m2`` for "case" and "closed",
+    and its name ``hidden`` for the other two. The rooms were simulated by a program that is independent
+    of rtcal (`benchmarks/studies/hidden_world`).
 
     Parameters
     ----------
@@ -191,7 +195,11 @@ NAMES = tuple(_EXAMPLES)
 
 
 def example(name: str) -> Example:
-    """Return the example project of this name; raises DataError if it is none of `NAMES`."""
+    """Return the example project ``name``: its files by name, and the commands to run in their folder.
+
+    ``rtcal example NAME`` writes these files. Raises DataError if the name is none of `NAMES`, such as
+    "room", "change" or "where".
+    """
     if name not in _EXAMPLES:
         raise DataError(f'there is no example "{name}"; the examples are {", ".join(NAMES)}')
     shared, commands = _EXAMPLES[name]

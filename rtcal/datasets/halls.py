@@ -58,6 +58,8 @@ def lecture_hall() -> Hall:
     """Return a raked lecture hall of 334 m³ with 23 surfaces, like that of Bellows & Katz (2025).
 
     The hall is 11 m deep and 8.9 m wide. Its largest surface is 66.6 times as large as its smallest.
+    The `Hall` has the geometry, the room with nine materials, two sources and seven receivers, of which
+    three are ``held_out``.
     """
     return _hall("lecture_hall", "R5", "R6", "R7")
 
@@ -66,7 +68,8 @@ def hard_hall() -> Hall:
     """Return a hard hall with parallel walls, 40 x 14 x 10 m, a platform and chairs on its floor.
 
     The absorption is on the floor, and sound remains between the smooth parallel walls above it.
-    The decay is therefore longer than by Sabine's equation.
+    The decay is therefore longer than by Sabine's equation. The `Hall` has the geometry, the room with
+    seven materials, two sources and eight receivers, of which three are ``held_out``.
     """
     return _hall("hard_hall", "R6", "R7", "R8")
 
@@ -75,11 +78,16 @@ def theatre() -> Hall:
     """Return a theatre with two tiers, boxes, a fly tower and thirty materials.
 
     Drapes and seats absorb strongly, ceiling and parapets hardly. Stage and auditorium are connected by
-    the proscenium opening only.
+    the proscenium opening only. The `Hall` has the geometry, the room of 4312 m³, two sources and eight
+    receivers, of which three are ``held_out``.
     """
     return _hall("theatre", "R6", "R7", "R8")
 
 
 def corridor() -> Hall:
-    """Return a corridor of 40 x 2.4 x 3 m with absorbing ceiling tiles."""
+    """Return a corridor of 40 x 2.4 x 3 m with absorbing ceiling tiles.
+
+    The `Hall` has the geometry, the room with four materials, one source and six receivers, of which
+    two are ``held_out``.
+    """
     return _hall("corridor", "R5", "R6")

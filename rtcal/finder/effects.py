@@ -160,7 +160,8 @@ class Effect(ABC):
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the state of the room with the effect added.
 
-        ``state`` is the room without the effect, and ``parameters`` are the values by name.
+        ``state`` is the room without the effect. ``parameters`` has a value for each of the effect's
+        parameters, its size included, by the parameter's name.
         """
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:

@@ -341,6 +341,10 @@ class Verification(Result):
 def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verification:
     """Check whether the effect that was found improves the model at data that were held out.
 
+    The model without and with the effect is calibrated to a part of the data. The effect is supported
+    if the model with it deviates less from the other, held-out part. Which options apply depends on
+    the data that `rtcal.find` compared with the model.
+
     Parameters
     ----------
     finding : Finding
@@ -348,17 +352,34 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     case : Case, optional
         Case with further parameters or bands of the same configurations, which are then held out; for
         means only. By default parts of the finding's case are held out in turn.
-    **options
-        If means were compared: ``effect``, the name of a candidate in place of the most probable one.
-        If a program's values were given to `rtcal.find`, also ``simulated``, the program's values for
-        the corrected model in the first configuration, and ``calibrated``, its values for the model
-        that was calibrated without the correction; without ``calibrated``, the equation scales the
-        program's values to the measured T. If positions were compared: the same, with ``effect`` and
-        ``at`` as you gave them to `Finding.apply`; without ``calibrated``, the path tracing calibrates
-        the program's values to half of the pairs. Also ``seeds`` of the simulator, whose spread shows
-        its noise, and ``cache``, ``progress`` and ``scheduler`` as for `rtcal.find`.
-        If two measurements of the room were compared: measurements ``before`` and ``after`` with
-        further pairs, which the finding then predicts, and the ``seed`` of the random numbers.
+
+    Other Parameters
+    ----------------
+    effect : str
+        For means: name of a candidate in place of the most probable one. For values at positions: the
+        name that you gave to `Finding.apply`.
+    at : (x, y, z)
+        For values at positions: the position that you gave to `Finding.apply`.
+    simulated : Measurement
+        If a program's values were given to `rtcal.find`: its values for the corrected model, in the
+        first configuration.
+    calibrated : Measurement
+        With ``simulated``: the program's values for the model that was calibrated without the
+        correction. By default rtcal scales the program's values to the measured T (means), or
+        calibrates them by path tracing to half of the pairs (positions).
+    seeds : sequence of int
+        For values at positions: seeds of the simulator, whose spread shows its noise; (0,) by default.
+    cache, progress, scheduler
+        For values at positions: arguments as for `rtcal.find`.
+    before, after : Measurement
+        For two measurements of the room: measurements with further pairs, which the finding predicts.
+    seed : int
+        For two measurements of the room: seed of the random numbers, 0 by default.
+
+    Returns
+    -------
+    Verification
+        Deviations of both models from the held-out data, and the ``verdict``, such as "supported".
 
     Raises
     ------

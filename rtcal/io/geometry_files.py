@@ -86,9 +86,9 @@ def mesh_doubt(room: Room) -> str:
 def path_tracing(room: Room, **options: Any) -> PathTracing:
     """Return a path tracing of a room whose file has its geometry, sources and receivers.
 
-    ``options`` are further arguments of `PathTracing`. Files with the directivity of sources are read.
-    Raises DataError for a room without sources and receivers, and for the reasons of `read`,
-    `rtcal.io.balloon.read` and `PathTracing`.
+    ``options`` are further arguments of `PathTracing`, such as ``n_paths``. If the room states a file
+    with the directivity of a source, this file is read. Raises DataError for a room without sources and
+    receivers, and for the reasons of `read`, `rtcal.io.balloon.read` and `PathTracing`.
 
     Examples
     --------

@@ -124,6 +124,11 @@ def read(
         Whether the power of each source and the gain were the same in all files, so that the relative
         level of the receivers is evaluated, too.
 
+    Returns
+    -------
+    Analysis
+        The ``measurement``, with reasons for values that are missing, and cautions.
+
     Raises
     ------
     DataError
@@ -411,9 +416,15 @@ def analyse(
         Bands to evaluate: "octave" for 63 Hz to 8 kHz, "third-octave" for 50 Hz to 10 kHz, both up to
         the limit of the sampling rate, or centre frequencies in Hz.
     minimum_range : mapping of str to float, optional
-        Impulse-to-noise ratios in dB that some parameters need, by name, in place of `MINIMUM_RANGE`.
+        Impulse-to-noise ratios in dB below which a parameter is left out, by its key, such as "t20". By
+        default 35 dB for T20, 45 dB for T30, and 20 dB for all others.
     progress : callable, optional
         Function that is called after each response.
+
+    Returns
+    -------
+    Analysis
+        The ``measurement``, with reasons for values that are missing, and cautions.
 
     Raises
     ------

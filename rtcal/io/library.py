@@ -77,7 +77,7 @@ _BESIDE = re.compile(
 
 
 def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
-    """Return the absorbers in tables of product data as a material list.
+    """Return the products in tables of a manufacturer or laboratory, with their alpha, as materials.
 
     Parameters
     ----------
@@ -91,8 +91,9 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
     Raises
     ------
     DataError
-        For a table without bands, an ambiguous unit, a coefficient that is not a number from 0 to 1.5,
-        and a product that is given twice. The message names the file, the sheet, the line and the rule.
+        For a table without bands, an ambiguous unit, an alpha that is not a number from 0 to 1.5
+        (it may be above 1 in a reverberation room, ISO 354), and a product that is given twice. The
+        message names the file, the sheet, the line and the rule.
     MissingDependencyError
         For a workbook, if openpyxl is not installed.
     """

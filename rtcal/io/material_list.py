@@ -540,20 +540,22 @@ class ExportReport:
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """Read and write the material lists of one simulation program.
+    """Read and write the material lists of one simulation program, with `read` and `write`.
 
-    ``parse`` is a function of a file's content, its path, and further arguments of `read`, which
-    returns the `MaterialList`. ``new`` is a function of a room and its materials' names, which returns
-    the content of a new list. ``bands`` returns the bands in Hz of a new list for a room; none for the
-    room's own. ``readable`` returns the name in the list for a material's name. ``prepared`` returns
-    the list with the changes that a room needs before it is written.
+    `rtcal.io.catt`, `odeon`, `pyroomacoustics` and `bras` are the formats that rtcal has. The
+    fields are the functions in which formats differ.
     """
 
     parse: Callable[..., MaterialList]
+    """Function of a file's content, its path, and further arguments of `read`: the materials in it."""
     new: Callable[[Room, Sequence[str]], bytes]
+    """Function of a room and its materials' names in the list: the content of a new list."""
     bands: Callable[[Room], Sequence[float]] = lambda _: ()
+    """Function of a room: the bands in Hz of a new list, () for the room's own."""
     readable: Callable[[str], str] = str
+    """Function of a material's name: the name that the program can read."""
     prepared: Callable[[MaterialList, Room], MaterialList] = lambda listed, _: listed
+    """Function of a list and a room: the list with the changes that are needed before it is written."""
 
     def read(self, path: str | os.PathLike[str], **selected: Any) -> MaterialList:
         """Return the materials of a program's file.
@@ -999,6 +1001,7 @@ catt = Format(
     readable=lambda name: re.sub(r"[^!-~]|[=<>{};:]", "_", name),
     prepared=_with_own_values,
 )
+"""Format of CATT-Acoustic's geometry files (``.GEO``) and material lists, with their ABS lines."""
 
 # -- ODEON
 
@@ -1067,6 +1070,7 @@ def _new_odeon(room: Room, *_: object) -> bytes:
 
 
 odeon = Format(parse=_parse_odeon, new=_new_odeon, bands=lambda _: _OF_ODEON)
+"""Format of ODEON's material list (``.Li8``), with the octaves from 63 to 8000 Hz."""
 
 # -- pyroomacoustics
 
@@ -1172,6 +1176,7 @@ def _new_pyroomacoustics(room: Room, *_: object) -> bytes:
 
 
 pyroomacoustics = Format(parse=_parse_pyroomacoustics, new=_new_pyroomacoustics)
+"""Format of the material tables of pyroomacoustics (JSON)."""
 
 # -- BRAS
 
@@ -1281,6 +1286,9 @@ def _new_bras(room: Room, *_: object) -> bytes:
 
 
 bras = Format(parse=_parse_bras, new=_new_bras)
+"""Format of the BRAS data base's materials (CSV): one material per file, or a table of several.
+
+``where`` in `Format.read` selects rows of a table by further columns."""
 
 
 def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float]:

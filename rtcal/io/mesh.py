@@ -81,18 +81,24 @@ def read(
     space: str | None = None,
     weld: float = WELD,
 ) -> Faces:
-    """Return the faces of a mesh file, as they are drawn.
+    """Return the faces of a mesh file as they are drawn, without a check that they enclose a room.
 
     Parameters
     ----------
     path : path
-        Path of the mesh, in one of the formats of `READERS`.
+        Path of the mesh: OBJ, DXF, DAE, PLY, 3MF, OFF, STL, GLB, GLTF or IFC.
     unit : float, optional
         Length of the file's unit in m; by default as stated in the file, or else 1.
     space : str, optional
         Name of the space to read, for a building model (IFC) with several spaces.
     weld : float
-        Largest gap in m between the ends of an outline that is closed, in a building model.
+        For a building model: largest gap in m between the ends of a face's outline that counts as
+        closed.
+
+    Returns
+    -------
+    Faces
+        Corners in m, material and name of each face, and notes on how the file was read.
 
     Raises
     ------
@@ -167,8 +173,10 @@ def room(
 ) -> Mended:
     """Return the room that the faces of a mesh file enclose, and the defects that were repaired.
 
-    For ``unit`` and ``space`` see `read`, for ``weld`` and ``largest_hole`` `rtcal.io.mend.mended`. The
-    errors are those of these two functions.
+    ``path``, ``unit`` and ``space`` are those of `read`. Corners up to ``weld`` in m apart become one,
+    and holes up to ``largest_hole`` in m² are closed, by default 1 % of the area of the walls. The
+    result (`rtcal.io.mend.Mended`) has the ``geometry``, volume and areas, and the ``defects``. Raises
+    the errors of `read`, and MeshError if the faces enclose no room.
     """
     faces = read(path, unit=unit, space=space, weld=weld)
     try:

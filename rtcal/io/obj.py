@@ -47,9 +47,10 @@ _IGNORED = frozenset(
 def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False) -> Polyhedron:
     """Return the geometry of a room in an OBJ file, whose walls must be closed.
 
-    ``unit`` is the length of the file's unit in m: 0.001 for a model in mm. If ``leaks`` is True, the
-    walls may have small holes, as for `Polyhedron`. Raises DataError, which names the file, the line
-    and the rule, or the edge at which the walls do not close.
+    ``path`` is that of the file. ``unit`` is the length of the file's unit in m: 0.001 for a model in
+    mm. If ``leaks`` is True, the walls may have small holes, and the volume lacks what they cut off.
+    Raises DataError, which names the file, the line and the rule, or the edge at which the walls do not
+    close.
     """
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit, leaks=leaks)
 

@@ -172,6 +172,8 @@ class _Options:
 def read(path: Paths, **options: Any) -> MeasuredTable:
     """Return the measurement in a table of any program, or in several tables with one position each.
 
+    Columns are recognised by their headers: source, receiver, band, and parameters such as "T20 [s]".
+
     Parameters
     ----------
     path : path or sequence of paths
@@ -180,12 +182,13 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
     Other Parameters
     ----------------
     decay_time : {"t20", "t30"}, optional
-        Parameter that a column "RT60" or "T60" means.
+        Parameter that a column "RT60" or "T60" means; it must be given only for such a column.
     parameter : str, optional
-        Parameter of values for which the table has no name. It is an error to give it, or
-        ``decay_time``, if the table does not need it.
+        Key of the parameter, such as "t20", of values for which the table has no name; it must be given
+        only for such values.
     where : mapping of str to str, optional
-        Selection of rows by the entry in a column: ``{"room": "CR2"}``.
+        Selection of rows by the entry in a column: ``{"room": "CR2"}`` reads the rows with CR2 in the
+        column "room". By default all rows are read.
     columns : str, optional
         Meaning of each column in order, for a table without usual headers, with the first line of
         values (by default the second) and optionally the last: ``"from line 3 to 9: receiver; T20 [ms]
@@ -198,6 +201,11 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
         nothing is repeated.
     sheets : collection of str, optional
         Names of the sheets of a workbook to read; by default all with a header.
+
+    Returns
+    -------
+    MeasuredTable
+        The ``measurement``, sentences on doubtful values (``doubts``), and how each column was read.
 
     Raises
     ------
@@ -252,9 +260,10 @@ def parse(
 
 
 def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
-    """Return the measurement in rtcal's CSV file, a workbook, or a text of REW.
+    """Return the measurement in a file that needs no check: rtcal's CSV, a workbook, or a text of REW.
 
-    Raises DataError for any other text, whose columns you must first check with ``rtcal table``.
+    Raises DataError for any other text: read it with `read`, or convert it with ``rtcal table``, and
+    check how its columns were read.
     """
     content = read_bytes(path, MAX_BYTES)
     if any(module.recognises(content) for module in FORMATS):
@@ -263,7 +272,10 @@ def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
 
 
 def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
-    """Write a measurement as rtcal's table, a value per row: CSV, or a workbook for a name in .xlsx."""
+    """Write a measurement as rtcal's table: a CSV file, or a workbook if the path ends in .xlsx.
+
+    A row has one value, with the columns source, receiver, parameter, band and value.
+    """
     checks.instance("measurement", measurement, Measurement)
     if checks.path("path", path).suffix.lower() == workbook.ENDING:
         write_bytes(path, workbook.content({"measurement": measurement.rows()}))

@@ -634,7 +634,7 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return a list with a caution if a step's simulated T is a power of ten off, as in a wrong unit.
+        """Return a list with a caution if a step's simulated T is off by a power of ten (wrong unit).
 
         The list is empty otherwise. The expected T is the simulated T of the step before, ``last``,
         times the ratio by which the equation's T changed. If ``last`` is None, it is the equation's T.
@@ -643,7 +643,7 @@ class Loop(Result):
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
     def follows(self, step: Step, last: Step) -> bool:
-        """Return whether the simulated T of ``step`` differs from that of ``last`` as the equation's does.
+        """Return whether the simulated T changed from ``last`` to ``step`` as the equation's T does.
 
         The change of the simulated ln T must be at least a tenth of the change of the equation's ln T,
         by a fit over all bands. True if the equation's T changes by less than one JND. In halls with
@@ -896,7 +896,7 @@ class Loop(Result):
 
     @property
     def status_now(self) -> tuple[str, ...]:
-        """Status of each band as it is printed: "not yet" for "not converging" in an unfinished loop."""
+        """Status of each band as printed: "not yet" for "not converging" in an unfinished loop."""
         on = self.final is None and not self.finished
         return tuple("not yet" if on and s == "not converging" else s for s in self.status)
 

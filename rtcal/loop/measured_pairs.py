@@ -665,9 +665,9 @@ of 20 boxes with little scattering T20 of a run was above 12 times Eyring's T.""
 class ControlRuns:
     """Hold the errors that a simulator has in reference simulations of a room.
 
-    A reference simulation traces a similar room with other scattering, positions and coefficients, so
-    that its differences from the simulator show how far the simulator may err. `rtcal.calibrate_positions`
-    makes them, and uses their covariance as the error of the simulator.
+    A reference simulation traces a similar room with other scattering, positions and coefficients,
+    so that its differences from the simulator show how far the simulator may err.
+    `rtcal.calibrate_positions` makes them, and uses their covariance as the error of the simulator.
     """
 
     parameters: tuple[str, ...]

@@ -73,14 +73,14 @@ def calibrate_modes(
     modes : MeasuredModes or Responses
         Measured modes, from `rtcal.modes.read` or `rtcal.modes.find_modes`; or impulse responses, from
         `rtcal.io.sofa.read`, in which rtcal finds the modes.
-    measured : Measurement, or T in s, (n_bands,), optional
+    measured : Measurement, or array (n_bands,) of T in s, optional
         Measured reverberation time. It is matched exactly in bands above the Schroeder frequency
-        (method ``mle`` of `rtcal.calibrate`) and not used below. Its uncertainty widens the intervals.
-        None if only the modes are used.
+        (method ``mle`` of `rtcal.calibrate`), and not used below. Its uncertainty widens the intervals
+        of the coefficients. By default only the modes are used.
     geometry : Polyhedron, optional
         Geometry of the room, if the room's scene has no mesh or a different one.
-    equation : Equation, optional
-        Reverberation equation; `rtcal.Eyring` by default.
+    equation : LinearEquation, optional
+        Reverberation equation with which T is matched; `rtcal.Eyring` by default.
 
     Returns
     -------

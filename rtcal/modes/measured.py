@@ -99,10 +99,9 @@ class MeasuredModes:
     Parameters
     ----------
     frequencies : array (n_modes,)
-        Frequency of each mode in Hz, above 0, rising.
+        Frequency of each mode in Hz, from 1 to 1000, rising.
     decays : array (n_modes,)
-        Decay constant delta = 6.91 / T of each mode in 1/s, above 0: the pressure falls as exp(-delta
-        t).
+        Decay constant delta = 6.91 / T of each mode in 1/s: the pressure falls as exp(-delta t).
     decay_uncertainty : array (n_modes,)
         Standard uncertainty of each decay constant in 1/s, above 0.
     frequency_uncertainty : array (n_modes,), optional
@@ -113,7 +112,7 @@ class MeasuredModes:
         Number of the calculated mode to which each measured mode belongs; None if no modes were
         calculated to find the measured ones.
     largest : float, optional
-        Frequency in Hz up to which modes were calculated to find the measured ones.
+        Frequency in Hz up to which modes were calculated to find the measured ones; 0 if none were.
     notes : sequence of str
         Sentences on how the modes were found, and on what was left out.
 
@@ -192,7 +191,7 @@ class MeasuredModes:
 
     @property
     def fingerprint(self) -> str:
-        """Text that identifies the measured modes by frequencies in Hz and decays in 1/s."""
+        """Text that identifies these modes, so that a room is not calibrated to them twice."""
         labels = (f"{f:.2f}" for f in self.frequencies.tolist())
         return fingerprint("modes", dict(zip(labels, self.decays.tolist(), strict=True)))
 
@@ -832,10 +831,12 @@ def find_modes(
 ) -> MeasuredModes:
     """Return the modes of a room that are found in impulse responses at several positions.
 
+    The search begins at the modes that are calculated from the room's geometry and input coefficients.
+
     Parameters
     ----------
     room : Room
-        Room with its geometry and positions, and coefficients at which the search begins.
+        Room with its geometry, input coefficients, and the positions of sources and receivers.
     responses : array (n_pairs, n_samples)
         Impulse responses, all in one unit, and all with a time axis that starts when the source emits.
     rate : float
@@ -847,12 +848,18 @@ def find_modes(
     geometry : Polyhedron, optional
         Geometry of the room, if its scene has no mesh or another one.
 
+    Returns
+    -------
+    MeasuredModes
+        Modes that are certain enough, with their amplitudes; ``notes`` says which were left out.
+
     Raises
     ------
     DataError
         For fewer than two pairs, a pair that occurs twice, a shape or value that breaks a rule, a
-        clipped response, noise that hides the decay, responses that the room's modes do not explain,
-        frequencies that differ too much from the calculated ones, or no mode that is certain enough.
+        clipped response, noise that hides the decay, more than 20 % of the power that the room's modes
+        do not explain, frequencies that differ by 3 % or more from the calculated ones, or no mode that
+        is certain enough.
     """
     pairs = checks.pairs("pairs", pairs)
     signals = _checked(responses, rate, pairs, lowest, highest)

@@ -81,6 +81,9 @@ Admittances = Callable[[float], Complex]
 class RoomModes:
     """Hold the modes of a room with rigid walls, from which those with absorbing walls are calculated.
 
+    `modes_of` returns them. A mode of the room with absorbing walls is a mixture of the modes with
+    rigid walls (module docstring).
+
     Examples
     --------
     >>> import rtcal as rt
@@ -113,10 +116,12 @@ class RoomModes:
     def poles(self, admittances: Admittances, like: Complex | None = None) -> Poles:
         """Return the poles (complex frequencies) of the modes up to ``largest`` with absorbing walls.
 
-        ``admittances`` returns the walls' specific admittances at a frequency. ``like`` (n_modes + 1,
-        n_poles) are mixtures of rigid modes: the poles with the most similar shapes are then returned,
-        which matters where two modes are close together. Raises ModelError if a pole does not converge
-        because walls are too far from rigid.
+        ``admittances`` is a function that returns the specific admittance of each wall, (n_walls,), at
+        a frequency in Hz. ``like`` (n_modes + 1, n_poles) are mixtures of rigid modes, such as
+        ``mixtures`` of earlier `Poles`: the poles with the most similar shapes are then returned, in
+        this order, which matters where two modes are close together. By default there is one pole per
+        mode up to ``largest``. Raises ModelError if a pole does not converge, because a wall absorbs
+        too much.
         """
         from scipy.optimize import linear_sum_assignment
 
@@ -257,15 +262,15 @@ def modes_of(
     speed_of_sound : float
         Speed of sound in m/s.
     spacing : float, optional
-        Edge length of the finite elements in m. If it is given, a box is also calculated with finite
-        elements.
+        Edge length of the finite elements in m, by default 1/3.5 of the wavelength at ``largest``. If
+        it is given, a box is also calculated with finite elements.
 
     Raises
     ------
     DataError
-        For an argument that breaks a rule.
+        For an argument that breaks a rule, and for a room with more than about 600 modes.
     ModelError
-        For a geometry with too many planes.
+        For a geometry that needs more than 150,000 finite elements (tetrahedra).
     MissingDependencyError
         If scikit-fem is needed and not installed.
 
@@ -615,8 +620,10 @@ _NEWTON = 8
 def absorption(beta: Complex | Array) -> Array:
     """Return the random-incidence absorption coefficients of walls with given specific admittances.
 
-    ``beta`` is rho c over the wall's impedance, a number or an array; the coefficients have the same
-    shape. Raises DataError for an admittance that is not finite or whose real part is below 0.
+    Walls react locally, and the coefficient is Paris' integral over all angles of incidence.
+    ``beta`` is rho c over the wall's impedance, a number or an array, real or complex; the
+    coefficients have the same shape. Raises DataError for an admittance that is not finite or whose
+    real part is below 0.
 
     Examples
     --------
@@ -637,8 +644,10 @@ def absorption(beta: Complex | Array) -> Array:
 def admittance(alpha: Array) -> Array:
     """Return the real specific admittances of walls with given random-incidence coefficients.
 
-    ``alpha`` must be from 0 to 1; the admittances have its shape. Above `LARGEST`, the admittance is
-    continued along its tangent. Raises DataError for other coefficients.
+    It is the inverse of `absorption`. ``alpha``, a number or an array, must be from 0 to 1; the
+    admittances have its shape. A real admittance gives at most alpha = 0.951. Above alpha = 0.856 the
+    admittance is therefore continued along its tangent, and no longer gives alpha exactly. Raises
+    DataError for other coefficients.
 
     Examples
     --------

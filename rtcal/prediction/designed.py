@@ -562,10 +562,10 @@ def design(
 ) -> Design:
     """Return the cheapest treatments with which T is within a range, with a required probability.
 
-    The probability is required in each band, and is the one that `rtcal.prediction.predict` gives for
-    the same changes. Panels are whole. If no treatment is needed, all areas are 0. Of two designs with
-    the same cost, the one with the smaller area is returned. See `rtcal.prediction.designed` for the
-    method.
+    The required probability is that of T in the range after the change, in each band, as
+    `rtcal.prediction.predict` gives it for the same changes. Only whole panels are used. If no
+    treatment is needed, all areas are 0. Of two designs with the same cost, the one with the
+    smaller area is returned.
 
     Parameters
     ----------
@@ -579,6 +579,11 @@ def design(
         Required probability in each band, from 0.8 to 0.99.
     assumptions : Assumptions, optional
         Assumed uncertainties, such as that of the new materials; by default usual values.
+
+    Returns
+    -------
+    Design
+        Design with the ``areas`` in m² of the treatments, and the ``probability`` by band.
 
     Raises
     ------

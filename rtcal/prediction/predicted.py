@@ -438,8 +438,8 @@ def predict(
     ----------
     known : CalibrationResult or Room
         Calibration of the room before the change, or a room without a measurement, whose input
-        coefficients are then used. After a calibration of `rtcal.Configurations`, give the entry of its
-        ``results`` that belongs to the state that changes.
+        coefficients are then used. After a calibration of several measured states of a room
+        (`rtcal.Configurations`), give the entry of its ``results`` for the state that changes.
     changes : Change, sequence of Change, or Room
         Change or changes of the room, or the changed room itself.
     equation : LinearEquation, optional
@@ -448,15 +448,23 @@ def predict(
         Assumed uncertainties, such as that of the new materials; by default usual values.
     name : str
         Name of the change in printed text; by default the names of its materials.
-    run, run_after : Run and Measurement, optional
-        Values of a simulation program before and after the change. The program's ratio of T replaces
-        that of the equation (`rtcal.prediction.simulated_change`).
+    run : Run, optional
+        Room before the change as a simulation program had it, with the program's values. Its ratio of T
+        after to T before then replaces that of the equation, and multiplies the measured T.
+    run_after : Measurement, optional
+        Values of the same program after the change; needed with ``run``.
+
+    Returns
+    -------
+    Prediction
+        Prediction with the ``mean`` T and the 90 % ``interval`` in s, (n_bands,) each.
 
     Raises
     ------
     DataError
-        If a change does not fit the room, or the changed room does not fit the room before. Also for
-        one run without the other, for runs without a measured T, and as `SimulatedChange.of` does.
+        If a change does not fit the room, or the changed room does not fit the room before. With
+        ``run``: if ``run_after`` is missing, if no T was measured, if the run is of another room, or if
+        the two simulations have no T20 or T30 in common.
     ModelError
         If the equation gives no T for the changed room.
 
@@ -615,11 +623,23 @@ def predict_variants(
 ) -> Predictions:
     """Return the T of a room after each of several changes, with 90 % intervals.
 
-    For the parameters and errors see `predict`. ``variants`` are the changes with their names.
-    ``target`` is a range of T with which they are compared; None compares nothing. With a ``run`` of a
-    program, a variant that has ``simulated`` values is predicted by the program. Raises DataError also
-    if two variants have one name, for a target in other bands, and for a run without a simulated
-    variant.
+    Parameters
+    ----------
+    known, equation, assumptions
+        Room before the change and how it is calculated, as for `predict`.
+    variants : sequence of Variant
+        Changes to compare, each with its name.
+    target : Target, optional
+        Range of T; the result then has each variant's probability of it.
+    run : Run, optional
+        Values of a simulation program before the changes. Variants that have ``simulated`` values are
+        then predicted with the program's ratio of T, all others with the equation.
+
+    Raises
+    ------
+    DataError
+        As `predict`; also if two variants have the same name, for a target in other bands, and for a
+        ``run`` if no variant has ``simulated``.
 
     Examples
     --------

@@ -181,7 +181,8 @@ def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: 
 def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T over frequency: measured with one JND, and before and after calibration.
 
-    A letter below a band refers to a caution on the page.
+    A letter below a band stands for a caution, which the axis label names. The figure is a matplotlib
+    Figure.
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
@@ -207,7 +208,10 @@ def reverberation_time(result: CalibrationResult) -> Any:
 
 
 def gap(result: CalibrationResult) -> Any:
-    """Return the figure of the deviation from the measured T in JND, before and after calibration."""
+    """Return the figure of modelled minus measured T in JND, before and after calibration.
+
+    The figure is a matplotlib Figure, with a number of JND per band.
+    """
     figure, axes = new_figure(7.0, 3.2)
     f = result.prior.centre_frequencies
     at = np.arange(len(f))

@@ -85,9 +85,10 @@ def page_of(
 ) -> str:
     """Return a saved result as an HTML page, from its folder, its ``result.json`` or a loop's file.
 
-    Because a saved result does not contain the names of its input files, the page of a finding contains
-    its case as a file (means over positions) or no command that reproduces it (every position). For
-    ``heading`` and ``progress`` see `page`.
+    ``path`` is that of the folder or file, and ``heading`` and ``progress`` are those of `page`. A
+    saved result does not contain the names of its input files. Therefore the page of a finding
+    shows no command that reproduces it, except for means over positions: their case is then on the
+    page, as a file to save.
 
     Raises
     ------

@@ -36,7 +36,11 @@ NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
-    """Return the figure of the input coefficients as truncated normal densities (Figs. 2 and 4a)."""
+    """Return the figure of the probability densities of input coefficients, as Fig. 2 of the paper.
+
+    The densities are normal, truncated at 0 and 1 (Bellows & Katz 2025). ``mu`` and ``sigma`` are their
+    parameters, one per material, and ``title`` is the title of the figure, a matplotlib Figure.
+    """
     from scipy.stats import truncnorm
 
     figure, axes = new_figure()
@@ -62,10 +66,11 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
 
 
 def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
-    """Return the box plot of the error of alpha over random rooms, for each method (Fig. 4b).
+    """Return the box plot of the error of alpha over random rooms, for each method, as Fig. 4b.
 
-    The error is the root of the expected mean square error (EMSE). ``table`` comes from `Study.spread`.
-    ``aace`` has the mean error for each row of the table, which is drawn as a dashed line.
+    The error is the root of the expected mean square error (EMSE), as in Bellows & Katz (2025).
+    ``table`` comes from `Study.spread`. ``aace`` has the average coefficient error (AACE) of each row
+    of the table, which is drawn as a dashed line. ``title`` is the title of the matplotlib Figure.
     """
     figure, axes = new_figure()
     boxes = [
@@ -145,8 +150,8 @@ def report(
     Parameters
     ----------
     rooms : sequence of str
-        Names of the rooms: "shoebox" and "lecture-hall" (keys of `AREAS`), or "halls" for five random
-        halls, computed by a formula only.
+        Names of the rooms: "shoebox" and "lecture-hall" (keys of `AREAS`), or "halls" for five halls
+        with random areas (`rtcal.studies.paper.random_hall`), computed by a formula only.
     sigma_r : sequence of float
         Scales of the Rayleigh distribution of sigma, the uncertainty of the input coefficients.
     realisations, trials, seed, sampling, scheduler, workers, progress
@@ -154,6 +159,11 @@ def report(
         scores by formula are computed.
     with_files : bool
         Whether to make the files of the tables (CSV) and figures (PNG), too.
+
+    Returns
+    -------
+    StudyReport
+        Report whose text is printed, with the tables as ``records`` and the ``files`` by name.
 
     Raises
     ------

@@ -52,8 +52,8 @@ class Polyhedron:
     names : sequence of str (n_faces,), optional
         Name of each face, by default "face 1", "face 2", ...
     leaks : bool
-        Whether the walls may have small holes. `rtcal.simulators.path_tracing.by_chords` returns their
-        share of the surface. The volume is then too small by the part that the holes cut off.
+        Whether the walls may have small holes, as surveyed meshes have. The volume is then too small by
+        the part that the holes cut off (`rtcal.simulators.path_tracing.by_chords` estimates it).
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Polyhedron:
     triangle_faces : int array (n_triangles,)
         Face that each triangle belongs to.
     volume : float
-        Volume in m³, the sum over the faces of p·A / 3, with a vertex p and the vector area A.
+        Volume of the room in m³, without the objects in it.
 
     Raises
     ------
@@ -159,9 +159,12 @@ class Polyhedron:
 
     @classmethod
     def shoebox(cls, dimensions: Sequence[float], materials: str | Mapping[str, str]) -> Polyhedron:
-        """Return a box with one corner at the origin and the given length, width and height in m.
+        """Return a box with one corner at the origin.
 
-        ``materials`` is one name for all walls, or a name for each of `SHOEBOX_WALLS`.
+        ``dimensions`` are the length along x, the width along y and the height along z in m.
+        ``materials`` is one name for all walls, or has the name of the material of each wall: "west" (x
+        = 0), "east", "south" (y = 0), "north", "floor" and "ceiling". Raises DataError for a length
+        that is not above 0, and for a wall without a material.
         """
         sides = checks.array("dimensions", dimensions)
         if sides.shape != (3,) or not (np.isfinite(sides) & (sides > 0)).all():
@@ -185,7 +188,11 @@ class Polyhedron:
     def from_polygons(
         cls, polygons: Iterable[tuple[str, str, Any]], *, leaks: bool = False
     ) -> Polyhedron:
-        """Return a polyhedron from its faces (name, material, points), with points (n, 3) in m."""
+        """Return a polyhedron from its faces, each given by its corners and not by their numbers.
+
+        ``polygons`` has a (name, material, points) for each face, with its corners as points (n, 3) in
+        m. ``leaks`` and the errors are those of `Polyhedron`.
+        """
         polygons = checks.listed("polygons", polygons)
         if any(len(checks.listed("polygons", polygon)) != 3 for polygon in polygons):
             raise DataError("polygons must have a (name, material, points) for each face")
@@ -209,7 +216,11 @@ class Polyhedron:
 
     @property
     def surfaces(self) -> tuple[Surface, ...]:
-        """Faces as surfaces of a `Room`, with an axis where a face is perpendicular to one."""
+        """Faces as the surfaces of a `Room`: name, material, area and axis.
+
+        The axis, "x", "y" or "z", is the one to which the face is perpendicular, and None for an
+        oblique face.
+        """
         axes = [
             AXES[int(np.argmax(np.abs(n)))] if np.abs(n).max() > 1 - 1e-6 else None
             for n in self.normals
@@ -263,7 +274,7 @@ class Polyhedron:
         """Return points by name as an array (n_points, 3) in m, once all are found to be in the room.
 
         ``points`` are (x, y, z) in m by name, and ``kind`` is "source" or "receiver", for the message.
-        Raises DataError for a point outside the room or closer than `WELD` to a wall.
+        Raises DataError for a point outside the room or within 0.1 mm of a wall.
         """
         if not checks.mapped(f"{kind}s", points):
             raise DataError(f"there is no {kind}; give at least one")
@@ -286,8 +297,8 @@ class Polyhedron:
         """Return the positions of sources and receivers in m, (n, 3) each, once they are checked.
 
         ``sources`` and ``receivers`` are (x, y, z) in m by name. Raises DataError for a position
-        outside the room or closer than `WELD` to a wall, and for a source within a centimetre of a
-        receiver, where direct sound is unlimited.
+        outside the room or within 0.1 mm of a wall, and for a source within 1 cm of a receiver, where
+        the direct sound would be too strong.
         """
         of_sources = self.require_inside("source", sources)
         of_receivers = self.require_inside("receiver", receivers)

@@ -234,10 +234,11 @@ def score(z: Array, room: Realisation) -> TrialSums:
 def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     """Return the expected mean square error (EMSE) of alpha for four methods, (..., 4).
 
-    The methods are no calibration, scaling, least squares (LSE) and maximum likelihood (MLE), without
-    bounds. ``mu`` and ``sigma`` (..., n) are the input coefficients and their standard deviation,
-    ``areas`` (n,) the surface areas in m². The formula is Eq. 30 of Bellows & Katz (2025), with a term
-    that the equation omits: mu is not the mean of the truncated normal distribution of alpha.
+    The last axis has the methods in this order: no calibration, scaling, least squares (LSE) and
+    maximum likelihood (MLE), without bounds. ``mu`` and ``sigma`` (..., n) are the input coefficients
+    and their standard deviations, ``areas`` (n,) the surface areas in m². The formula is Eq. 30 of
+    Bellows & Katz (2025), with a term that the equation omits: mu is not the mean of the truncated
+    normal distribution of alpha.
     """
     # Integrated, since the closed forms (Eqs. 14 and 31) lose all digits in the tails.
     mean, variance = truncated_moments(mu, sigma**2, 0.0, 1.0, FINE)
@@ -279,11 +280,12 @@ _HALF_DIGIT = 0.005
 
 
 def table_1_range(areas: Array) -> tuple[Array, Array]:
-    """Return the range of errors (EMSE) that the rounded values of Table 1 allow, (4,) each.
+    """Return the lowest and the highest error of alpha that Table 1 of Bellows & Katz (2025) allows.
 
-    The printed mu and sigma are varied within half of their last digit, and the error of each of four
-    methods is computed as in `analytic_emse`. The range is the central 98 % of 4000 random values.
-    ``areas`` are in m².
+    Both are (4,): the mean square errors of the four methods of `analytic_emse`. The table prints
+    mu and sigma of six surfaces with two decimals; here they are varied at random within half of
+    their last digit, 4000 times, and the errors are the 1st and the 99th percentile. ``areas`` (6,)
+    are in m².
     """
     rng = np.random.default_rng(0)
     shape = (4000, len(TABLE_1_MU))
@@ -329,10 +331,11 @@ LECTURE_HALL: dict[str, float] = {
 
 
 def random_hall(seed: int) -> tuple[float, ...]:
-    """Return the surface areas in m² of a random hall like the paper's lecture hall.
+    """Return the surface areas in m² of a random hall like the lecture hall of Bellows & Katz (2025).
 
-    The hall is a box of 334 m³ with random proportions and 23 surfaces. Its faces are cut at random, so
-    that the largest surface is 66.6 times as large as the smallest.
+    The hall is a box of 334 m³ with random proportions, and its faces are cut at random into 23
+    surfaces, of which the largest is 66.6 times as large as the smallest. ``seed`` is that of the
+    random numbers.
     """
     rng = np.random.default_rng(checks.whole("seed", seed, 0))
     height, proportion = rng.uniform(3.0, 5.0), rng.uniform(1.0, 1.8)

@@ -37,9 +37,13 @@ __dir__ = __all__.copy
 class RtcalError(Exception):
     """Catch every error that rtcal raises on purpose: the base class of these errors.
 
-    ``bands`` are the numbers, from 0, of the bands that the error concerns, () if it is not about
-    single bands. ``loop`` is the `rtcal.loop.Loop` with all its steps, if the error ended
-    `rtcal.calibrate_simulator`, else None.
+    Attributes
+    ----------
+    bands : tuple of int
+        Numbers, from 0, of the bands that the error concerns; () if it is not about single bands.
+    loop : Loop, optional
+        `rtcal.loop.Loop` with all steps so far, if the error ended `rtcal.calibrate_simulator`; else
+        None.
     """
 
     bands: tuple[int, ...] = ()
@@ -63,7 +67,7 @@ class InfeasibleError(RtcalError):
 
 
 class SolverError(RtcalError):
-    """Report that the solver found no solution that passes the optimality check."""
+    """Report that the solver found no solution, or one that is not optimal to numerical precision."""
 
 
 class SimulatorError(RtcalError):
@@ -107,8 +111,8 @@ class OtherBandsWarning(RtcalWarning):
 
 
 class FewPathsWarning(RtcalWarning):
-    """Warn that a path tracing has so few paths that their noise hides the values to be matched."""
+    """Warn that a path tracing has too few paths: its random noise hides the values to be matched."""
 
 
 class MissingAirWarning(RtcalWarning):
-    """Warn that a room has no air, so that its surfaces get the absorption of the air as well."""
+    """Warn that a room states no air, so that the calibration adds the air's absorption to surfaces."""

@@ -200,9 +200,15 @@ def recalibrate(
     case : Case
         Case whose room is calibrated, for example `Corrected.case`.
     discrepancy : ModelDiscrepancy, optional
-        Error of the model, `Finding.discrepancy`; its bias is subtracted from the measurement.
+        Error of the model, `Finding.discrepancy`. Its mean error of ln T is subtracted from the
+        measurement; by default nothing is.
     left_out : sequence of int
         Numbers, from 0, of configurations whose T is predicted and not used; 0 must not be among them.
+
+    Returns
+    -------
+    Recalibrated
+        Calibrated coefficients, and the values that the model predicts with them.
 
     Raises
     ------

@@ -37,22 +37,27 @@ class Place:
 def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
     """Return positions for a further receiver that best show on which surface the effect is.
 
-    The best position comes first.
-
     Parameters
     ----------
     finding : Finding
-        Result of `rtcal.find` at positions, with at least two probable surfaces.
+        Result of `rtcal.find` for values at positions, in which two or more surfaces are possible. The
+        three most probable ones are compared.
     number : int
-        Number of positions that are tried, on a grid over the room.
+        Number of positions that are tried, on a grid over the room at the mean height of the measured
+        receivers, 0.7 m or more from walls and sources.
     seed : int
         Seed of the random numbers of the simulation.
+
+    Returns
+    -------
+    tuple of Place
+        Every position that was tried with every source, the best first.
 
     Raises
     ------
     DataError
-        If at most one surface is probable, if only one pair was measured, or if no position of the
-        grid is free.
+        If fewer than two surfaces are possible, if only one pair was measured, or if the room is too
+        small for so many positions.
     """
     checks.whole("number", number, 1)
     # The most probable candidate on each surface that is in question.
