@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,107 +14,25 @@ from benchmarks import drawn_tables
 from rtcal.io import library, tables
 from rtcal.support.errors import DataError
 from tests.conftest import also
-from tests.corpus import CASES, book
+from tests.corpus import CASES
 
 LEAST_READ = {"materials": 0.75, "values": 0.75, "modes": 0.6}
 """Share of the drawn tables that must be read; of modes many state no unit, which is refused."""
-
-
-def outcomes(folder: Path, seeds: range) -> dict[str, Counter[str]]:
-    found: dict[str, Counter[str]] = {kind: Counter() for kind in LEAST_READ}
-    for seed in seeds:
-        what, why = drawn_tables.judged(seed, folder)
-        found[drawn_tables.example(seed).kind][what] += 1
-        assert what in ("right", "right as proposed", "refused"), (seed, what, why)
-    return found
 
 
 @pytest.mark.parametrize(
     "seeds", [range(7000, 7060), pytest.param(range(500), marks=pytest.mark.long)], ids=len
 )
 def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(tmp_path, seeds):
-    for kind, counts in outcomes(tmp_path, seeds).items():
+    found: dict[str, Counter[str]] = {kind: Counter() for kind in LEAST_READ}
+    for seed in seeds:
+        what, why = drawn_tables.judged(seed, tmp_path)
+        found[drawn_tables.example(seed).kind][what] += 1
+        assert what in ("right", "right as proposed", "refused"), (seed, what, why)
+    for kind, counts in found.items():
         read = counts["right"] + counts["right as proposed"]
         assert read >= LEAST_READ[kind] * counts.total(), (kind, counts)
 
-
-# -- material lists
-
-
-def of_text(folder: Path, text: str) -> tuple[library.MaterialList, str]:
-    (folder / "Sample 3.csv").write_text(text, encoding="utf-8")
-    return library.read(folder / "Sample 3.csv"), str(folder / "Sample 3.csv")
-
-
-@pytest.mark.parametrize(
-    "unit", ["m² per chair", "m²/Platz", "A_obj", "[m²]", "m2 je Sitz", "Sabin"]
-)
-@pytest.mark.parametrize("where", ["cell", "name"])
-def test_areas_of_objects_are_no_coefficients(tmp_path, unit, where):
-    if where == "cell":
-        text = f"product;unit;250;500;1000\nRug;-;0,2;0,2;0,2\nChair;{unit};0,6;0,7;0,8\n"
-    else:
-        named = f"Chair ({unit.strip('[]')})"
-        text = f"product;250;500;1000\nRug;0,2;0,2;0,2\n{named};0,6;0,7;0,8\n"
-    listed, path = of_text(tmp_path, text)
-    rug, chair = listed.materials
-    assert (rug.alpha, rug.doubt) == ((0.2,) * 3, "")
-    with pytest.raises(DataError, match=r"Sample 3\.csv, line \d: Chair.* has absorption areas"):
-        listed.room(name="x", areas={chair.name: 20.0}, volume=100.0)
-    room = listed.room(name="x", areas={"Rug": 20.0}, volume=100.0)
-    assert room.materials == ("Rug",)
-    assert path in chair.doubt
-
-
-# -- measured values
-
-NAMES = (
-    "Gesamt",
-    "Mean (n=2)",
-    "T20 mean",
-    "Average of 6",
-    "Moyenne",
-    "Mittel (alle)",
-    "promedio (6)",
-)
-
-
-def layouts(name: str) -> dict[str, list[list[object]]]:
-    """T20 of 1 and 2 s at two receivers, with a statistic of 1.5 s."""
-    return {
-        "rows": [["receiver", "T20 500 Hz"], ["R2", 1], ["R3", 2], [name, 1.5]],
-        "row first": [["receiver", "T20 500 Hz"], [name, 1.5], ["R2", 1], ["R3", 2]],
-        "across": [["f", "R2", "R3", name], [500, 1, 2, 1.5]],
-        "long": [
-            ["receiver", "parameter", "f", "value"],
-            *([r, "T20", 500, v] for r, v in (("R2", 1), ("R3", 2), (name, 1.5))),
-        ],
-        "source": [
-            ["source", "receiver", "f", "T20"],
-            ["S1", "R2", 500, 1],
-            ["S1", "R3", 500, 2],
-            [name, "", 500, 1.5],
-        ],
-    }
-
-
-OPTIONS = {"across": {"parameter": "t20"}}
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("layout", layouts(""))
-@pytest.mark.parametrize("xlsx", [False, *also(True)])
-def test_a_statistic_over_positions_is_no_position(name, layout, xlsx):
-    rows = layouts(name)[layout]
-    text = "\n".join(";".join(map(str, row)) for row in rows)
-    content, options = book({"x": rows}) if xlsx else text.encode(), OPTIONS.get(layout, {})
-    table = tables.parse(content, **options)
-    assert table.measurement.pairs == (("S1", "R2"), ("S1", "R3"))
-    assert table.measurement.values["t20"][:, 0].tolist() == [1, 2]
-    assert any("left out" in line and f'"{name}' in line for line in table.columns)
-
-
-# -- proposals
 
 TIMES = {("R1", 500): 1.62, ("R1", 1000): 1.41, ("R2", 500): 1.6, ("R2", 1000): 2.0}
 
