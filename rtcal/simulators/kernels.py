@@ -7,6 +7,7 @@ same in NumPy.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -327,115 +328,132 @@ def _advance(
     return True
 
 
-def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
+BANDS = 4
+"""Bands that are computed in one loop over the paths: their levels stay in registers."""
+_RECEPTIONS = 4096
+"""Receptions whose energies are computed together by vector instructions; more if a path has more."""
+
+
+def _in_blocks(weighing: Weighing) -> Iterator[tuple[slice, tuple[Array, Array]]]:
+    """Yield some bands with reflection factors (n_codes, `BANDS`) and attenuations (`BANDS`,)."""
+    log_reflection, attenuation, *_ = weighing
+    for begin in range(0, len(attenuation), BANDS):
+        some = slice(begin, min(begin + BANDS, len(attenuation)))
+        reflection, air = np.zeros((len(log_reflection), BANDS)), np.zeros(BANDS)
+        reflection[:, : some.stop - begin] = np.exp(log_reflection[:, some])
+        air[: some.stop - begin] = attenuation[some]
+        yield some, (reflection, air)
+
+
+def histogram(batches: Sequence[Batch], weighing: Weighing, out: Array) -> None:
     """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins), in 1/m².
 
-    ``batch`` are the paths, and ``weighing`` has the logarithms of the reflection factors, the air's
+    ``batches`` are paths, and ``weighing`` has the logarithms of the reflection factors, the air's
     attenuation in 1/m and the time bins as lengths in m.
     """
-    n_receivers, n_bands, n_bins = out.shape
-    sums = np.zeros((n_receivers, n_bins, n_bands))
-    add_energy(batch, weighing, np.empty_like(weighing[0]), np.empty((3, n_bands)), sums, out)
-
-
-@compiled(reorder=False)
-def add_energy(
-    batch: Batch, weighing: Weighing, reflection: Array, level: Array, sums: Array, out: Array
-) -> None:
-    """Add energies to ``out`` as `histogram` does, which makes the arrays that are overwritten."""
-    # Air attenuates up to the middle of a bin, and by a series within it: no exponential per reception.
-    events, starts, lengths, weights = batch
-    log_reflection, attenuation, first, bin_length = weighing
-    n_codes, n_bands = log_reflection.shape
-    n_receivers, _, n_bins = out.shape
-    for each in range(n_codes):
-        for k in range(n_bands):
-            reflection[each, k] = math.exp(log_reflection[each, k])
-    heard = 0
-    for path in range(len(starts) - 1):
-        for k in range(n_bands):
-            level[0, k] = 1.0
-        for e in range(starts[path], starts[path + 1]):
-            code = np.int64(events[e])
-            if code < n_codes:
-                for k in range(n_bands):
-                    level[0, k] *= reflection[code, k]
-                continue
-            receiver = code - n_codes
-            after = (np.float64(lengths[heard]) - first[receiver]) / bin_length
-            place = math.floor(after)
-            if 0 <= place < n_bins:
-                beyond = bin_length * (after - place - 0.5)
-                for k in range(n_bands):
-                    x = attenuation[k] * beyond
-                    series = 1 - x * (1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))))
-                    sums[receiver, place, k] += weights[heard] * level[0, k] * series
-            heard += 1
-    for receiver in range(n_receivers):
-        for k in range(n_bands):
-            level[1, k] = math.exp(-attenuation[k] * (first[receiver] + 0.5 * bin_length))
-            level[2, k] = math.exp(-attenuation[k] * bin_length)
-        for place in range(n_bins):
-            for k in range(n_bands):
-                out[receiver, k, place] += sums[receiver, place, k] * level[1, k]
-                level[1, k] *= level[2, k]
+    none = np.zeros((len(out), out.shape[2], 0, out.shape[1]))
+    n_codes = len(weighing[0])
+    histogram_gradient(batches, weighing, np.zeros(n_codes, np.int64), np.zeros(n_codes), out, none)
 
 
 def histogram_gradient(
-    batch: Batch, weighing: Weighing, groups: Any, counts: Array, out: Array, gradient: Array
-) -> None:
-    """Add the energy at receivers to ``out``, and to ``gradient`` that energy weighted by wall hits.
-
-    ``batch`` and ``weighing`` are as in `histogram`. ``groups`` (n_codes,) is the group of each code of
-    a wall hit, and ``counts`` (n_codes,) the number that a hit adds to the group's weight. ``out`` is
-    (n_receivers, n_bands, n_bins), and ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
-    """
-    _, _, n_groups, n_bands = gradient.shape
-    level, sums = np.empty((2, n_bands)), np.empty(n_groups)
-    add_gradient(batch, weighing, groups, counts, level, sums, out, gradient)
-
-
-@compiled(reorder=False)
-def add_gradient(
-    batch: Batch,
+    batches: Sequence[Batch],
     weighing: Weighing,
     groups: Any,
     counts: Array,
-    level: Array,
-    sums: Array,
     out: Array,
     gradient: Array,
 ) -> None:
-    """Add energies and sums as `histogram_gradient` does; the arrays before ``out`` are overwritten."""
+    """Add the energy at receivers to ``out``, and to ``gradient`` that energy weighted by wall hits.
+
+    ``batches`` and ``weighing`` are as in `histogram`. ``groups`` (n_codes,) is the group of each code
+    of a wall hit, and ``counts`` (n_codes,) the number that a hit adds to the group's weight. ``out``
+    is (n_receivers, n_bands, n_bins), and ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
+    """
+    _, attenuation, first, bin_length = weighing
+    n_receivers, n_bins, n_groups, _ = gradient.shape
+    together = max([_RECEPTIONS, *(int(np.diff(starts).max()) for _, starts, *_ in batches)])
+    scratch = np.empty(together), np.empty(together, np.int64), np.empty((BANDS, together))
+    hits = np.empty((together + 1, n_groups))
+    for bands, of_bands in _in_blocks(weighing):
+        sums = np.zeros((n_receivers * n_bins, 1 + n_groups, BANDS))
+        for batch in batches:
+            add_energy(batch, of_bands, weighing[2:], n_bins, groups, counts, scratch, hits, sums)
+        # Air attenuates up to the middle of a bin here, and by a series within it.
+        middle = first[:, np.newaxis] + bin_length * (np.arange(n_bins) + 0.5)
+        far = np.exp(-attenuation[bands] * middle[..., np.newaxis])[:, :, np.newaxis]
+        energy = sums.reshape(n_receivers, n_bins, -1, BANDS)[..., : far.shape[-1]] * far
+        out[:, bands] += np.moveaxis(energy[:, :, 0], 2, 1)
+        gradient[..., bands] += energy[:, :, 1:]
+
+
+@compiled(reorder=True)
+def add_energy(
+    batch: Batch,
+    of_bands: Any,
+    bins: Any,
+    n_bins: int,
+    groups: Any,
+    counts: Array,
+    scratch: Any,
+    hits: Array,
+    sums: Array,
+) -> None:
+    """Add energies and weighted ones to ``sums`` for `histogram_gradient`, which makes the arrays."""
     events, starts, lengths, weights = batch
-    log_reflection, attenuation, first, bin_length = weighing
-    n_codes, n_bands = log_reflection.shape
-    n_bins, n_groups = out.shape[2], gradient.shape[2]
-    heard = 0
-    for path in range(len(starts) - 1):
-        for k in range(n_bands):
-            level[0, k] = 0.0
-        for j in range(n_groups):
-            sums[j] = 0.0
-        for e in range(starts[path], starts[path + 1]):
-            code = np.int64(events[e])
-            if code < n_codes:
-                for k in range(n_bands):
-                    level[0, k] += log_reflection[code, k]
-                sums[groups[code]] += counts[code]
-                continue
-            receiver, length = code - n_codes, np.float64(lengths[heard])
-            place = math.floor((length - first[receiver]) / bin_length)
-            if 0 <= place < n_bins:
-                for k in range(n_bands):
-                    energy = weights[heard] * math.exp(level[0, k] - attenuation[k] * length)
-                    out[receiver, k, place] += energy
-                    level[1, k] = energy
-                for j in range(n_groups):
-                    if sums[j] != 0.0:
-                        for k in range(n_bands):
-                            gradient[receiver, place, j, k] += sums[j] * level[1, k]
-            heard += 1
+    (reflection, attenuation), (first, bin_length) = of_bands, bins
+    beyond, places, energy = scratch
+    n_codes, n_groups = len(reflection), sums.shape[1] - 1
+    n_paths, path, heard = len(starts) - 1, 0, 0
+    while path < n_paths:
+        n = 0
+        while path < n_paths and n + starts[path + 1] - starts[path] <= len(beyond):
+            a, b, c, d = 1.0, 1.0, 1.0, 1.0
+            for j in range(n_groups):
+                hits[n, j] = 0.0
+            for e in range(starts[path], starts[path + 1]):
+                code = events[e]  # unsigned: an index that needs no check for negative values
+                if code < n_codes:
+                    a *= reflection[code, 0]
+                    b *= reflection[code, 1]
+                    c *= reflection[code, 2]
+                    d *= reflection[code, 3]
+                    if n_groups > 0:
+                        hits[n, groups[code]] += counts[code]
+                    continue
+                receiver = np.int64(code) - n_codes
+                after = (np.float64(lengths[heard]) - first[receiver]) / bin_length
+                place = math.floor(after)
+                if 0 <= place < n_bins:
+                    beyond[n] = bin_length * (after - place - 0.5)
+                    places[n] = receiver * n_bins + place
+                    weight = np.float64(weights[heard])
+                    energy[0, n], energy[1, n] = weight * a, weight * b
+                    energy[2, n], energy[3, n] = weight * c, weight * d
+                    for j in range(n_groups):
+                        hits[n + 1, j] = hits[n, j]
+                    n += 1
+                heard += 1
+            path += 1
+        for k in range(BANDS):
+            for i in range(n):
+                x = attenuation[k] * beyond[i]
+                higher = 1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120)))
+                energy[k, i] *= 1.0 - x * (1.0 - x * higher)
+        for i in range(n):
+            place = places[i]
+            a, b, c, d = energy[0, i], energy[1, i], energy[2, i], energy[3, i]
+            sums[place, 0, 0] += a
+            sums[place, 0, 1] += b
+            sums[place, 0, 2] += c
+            sums[place, 0, 3] += d
+            for j in range(n_groups):
+                number = hits[i, j]
+                if number != 0.0:
+                    sums[place, j + 1, 0] += number * a
+                    sums[place, j + 1, 1] += number * b
+                    sums[place, j + 1, 2] += number * c
+                    sums[place, j + 1, 3] += number * d
 
 
 def histogram_changed(

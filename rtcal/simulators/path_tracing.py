@@ -504,8 +504,9 @@ class Paths:
 
         def weigh(s: int) -> None:
             weighing = log_reflection, attenuation, self.first[s], float(bin_length)
-            for b, batch in enumerate(self.batches[s]):
-                kernels.histogram(batch.arrays, weighing, out[b * number // n_batches, s])
+            every, each = [batch.arrays for batch in self.batches[s]], n_batches // number
+            for group, heard in enumerate(out[:, s]):
+                kernels.histogram(every[group * each : (group + 1) * each], weighing, heard)
             out[:, s] *= number / self._kept[s]
 
         self.by_source(weigh)
@@ -556,8 +557,8 @@ class Paths:
         materials = np.tile(self.materials, 2)
         for group in range(n_groups):
             some, out = batches[group::n_groups], (energy[group], gradient[group])
-            for batch in some:
-                kernels.histogram_gradient(batch.arrays, weighing, materials, counts, *out)
+            every = [batch.arrays for batch in some]
+            kernels.histogram_gradient(every, weighing, materials, counts, *out)
             kept = len(some) * self.n_paths // len(batches) - sum(batch.lost for batch in some)
             energy[group] /= kept
             gradient[group] /= kept

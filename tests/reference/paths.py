@@ -5,6 +5,7 @@ They trace all paths together, step by step, and have the arguments of `rtcal.si
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -125,15 +126,16 @@ def trace(
     return code[entries].astype(np.uint16), starts, number, *single, counts
 
 
-def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
+def histogram(batches: Sequence[Batch], weighing: Weighing, out: Array) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
     shape = (out.shape[0], out.shape[2])
-    _, _, energy, flat, in_bins = _heard(batch, weighing, shape)
-    out += np.moveaxis(_sums(flat, energy, in_bins, shape), 2, 1)
+    for batch in batches:
+        _, _, energy, flat, in_bins = _heard(batch, weighing, shape)
+        out += np.moveaxis(_sums(flat, energy, in_bins, shape), 2, 1)
 
 
 def histogram_gradient(
-    batch: Batch,
+    batches: Sequence[Batch],
     weighing: Weighing,
     groups: NDArray[np.int64],
     counts: Array,
@@ -142,17 +144,17 @@ def histogram_gradient(
 ) -> None:
     """Add energy and derivatives as `rtcal.simulators.kernels.histogram_gradient` does."""
     shape = (out.shape[0], out.shape[2])
-    heard, begin, energy, flat, in_bins = _heard(batch, weighing, shape)
-    sums = _sums(flat, energy, in_bins, shape)
-    out += np.moveaxis(sums, 2, 1)
-    events = batch[0]
-    wall = events < len(weighing[0])
-    code = np.where(wall, events, 0)
-    group = np.where(wall, groups[code], -1)
-    for j in range(gradient.shape[2]):
-        hits = np.concatenate([[0], np.cumsum(np.where(group == j, counts[code], 0.0))])
-        counted = (hits[heard] - hits[begin])[:, np.newaxis]
-        gradient[:, :, j] += _sums(flat, counted * energy, in_bins, shape)
+    histogram(batches, weighing, out)
+    for batch in batches:
+        heard, begin, energy, flat, in_bins = _heard(batch, weighing, shape)
+        events = batch[0]
+        wall = events < len(weighing[0])
+        code = np.where(wall, events, 0)
+        group = np.where(wall, groups[code], -1)
+        for j in range(gradient.shape[2]):
+            hits = np.concatenate([[0], np.cumsum(np.where(group == j, counts[code], 0.0))])
+            counted = (hits[heard] - hits[begin])[:, np.newaxis]
+            gradient[:, :, j] += _sums(flat, counted * energy, in_bins, shape)
 
 
 def _sums(
