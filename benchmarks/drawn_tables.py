@@ -17,6 +17,7 @@ import io
 import re
 import sys
 import tempfile
+import tomllib
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,135 +35,16 @@ from rtcal.support.errors import DataError
 Cells = list[list[Any]]
 STEM = "Sample 7"
 """The file's name, which a product without one takes."""
-LANGUAGES: dict[str, dict[str, tuple[str, ...]]] = {
-    "en": {
-        "product": ("product", "Material", "Name"),
-        "band": ("f", "Frequency", "Frequency [Hz]", ""),
-        "unit": ("unit", "Unit"),
-        "alpha": ("αs", "alpha_s", "Absorption coefficient"),
-        "title": ("Absorption coefficient αs", "Values"),
-        "per object": ("m² per chair", "m²/person", "A_obj", "A_obj [m²]", "m2 per object"),
-        "uncertainty": ("U(k=2)", "U (k = 2)", "Expanded uncertainty", "U_95"),
-        "mean": ("Mean", "Mean (n=2)", "T20 mean", "Average of 6", "Average (6)", "Overall"),
-        "other": ("SD", "Std. dev.", "Max", "Min", "Median", "n"),
-        "source": ("source", "Loudspeaker"),
-        "receiver": ("receiver", "Position", "Mic"),
-        "parameter": ("parameter", "Metric"),
-        "value": ("value",),
-        "f": ("f", "frequency"),
-        "T": ("T", "T60"),
-    },
-    "de": {
-        "product": ("Produkt", "Bezeichnung", "Material"),
-        "band": ("f", "Frequenz", "Frequenz / Hz", "Terz"),
-        "unit": ("Einheit",),
-        "alpha": ("αs", "Absorptionsgrad", "Schallabsorptionsgrad αs"),
-        "title": ("Schallabsorptionsgrad αs", "Angaben"),
-        "per object": ("m²/Platz", "m² je Stuhl", "m² pro Person", "A_obj"),
-        "uncertainty": ("U(k=2)", "Messunsicherheit", "erweiterte Unsicherheit", "U"),
-        "mean": (
-            "Gesamt",
-            "Mittel (alle)",
-            "Mittelwert",
-            "arithm. Mittel",
-            "Mittel über 6 Positionen",
-        ),
-        "other": ("Standardabweichung", "Std.abw.", "Spannweite", "Anzahl"),
-        "source": ("Quelle", "Lautsprecher"),
-        "receiver": ("Empfänger", "Mikrofon", "Messposition"),
-        "parameter": ("Parameter",),
-        "value": ("Wert",),
-        "f": ("f", "Frequenz"),
-        "T": ("T", "Nachhallzeit"),
-    },
-    "fr": {
-        "product": ("Produit", "Matériau"),
-        "band": ("Fréquence", "Fréquence (Hz)", ""),
-        "unit": ("Unité",),
-        "alpha": ("αs", "Coefficient d'absorption"),
-        "title": ("Coefficient d'absorption αs",),
-        "per object": ("m² par siège", "m²/siège"),
-        "uncertainty": ("Incertitude", "U(k=2)"),
-        "mean": ("Moyenne", "Moyenne (6)", "moyenne de 6 positions"),
-        "other": ("écart-type",),
-        "source": ("source",),
-        "receiver": ("receiver", "Position"),
-        "parameter": ("parameter",),
-        "value": ("valeur",),
-        "f": ("Fréquence",),
-        "T": ("TR",),
-    },
-    "es": {
-        "product": ("Producto", "Material"),
-        "band": ("Frecuencia", "Frecuencia [Hz]"),
-        "unit": ("Unidad",),
-        "alpha": ("αs", "Coeficiente de absorción"),
-        "title": ("Coeficiente de absorción αs",),
-        "per object": ("m² por silla", "m²/silla"),
-        "uncertainty": ("Incertidumbre", "U(k=2)"),
-        "mean": ("Promedio", "Media", "Promedio de 6"),
-        "other": ("Desviación estándar",),
-        "source": ("Fuente",),
-        "receiver": ("Receptor", "Posición"),
-        "parameter": ("Parámetro",),
-        "value": ("valor",),
-        "f": ("Frecuencia",),
-        "T": ("TR",),
-    },
-    "it": {
-        "product": ("Prodotto", "Materiale"),
-        "band": ("Frequenza", "Frequenza (Hz)"),
-        "unit": ("unit",),
-        "alpha": ("αs", "Coefficiente di assorbimento"),
-        "title": ("Coefficiente di assorbimento αs",),
-        "per object": ("m² per sedia", "m²/posto"),
-        "uncertainty": ("Incertezza", "U(k=2)"),
-        "mean": ("Media", "Media (n=6)", "Medio"),
-        "other": ("Deviazione standard", "Dev. std"),
-        "source": ("source",),
-        "receiver": ("receiver",),
-        "parameter": ("parameter",),
-        "value": ("value",),
-        "f": ("Frequenza",),
-        "T": ("T60",),
-    },
-    "pt": {
-        "product": ("Produto", "Material"),
-        "band": ("Frequência", "Frequência [Hz]"),
-        "unit": ("unidade", "unit"),
-        "alpha": ("αs", "Coeficiente de absorção"),
-        "title": ("Coeficiente de absorção αs",),
-        "per object": ("m² por cadeira", "m²/cadeira"),
-        "uncertainty": ("Incerteza", "U(k=2)"),
-        "mean": ("Média", "Média (6 posições)"),
-        "other": ("Desvio padrão",),
-        "source": ("source",),
-        "receiver": ("receiver",),
-        "parameter": ("parameter",),
-        "value": ("valor",),
-        "f": ("Frequência",),
-        "T": ("TR",),
-    },
-}
-PRODUCTS = (
-    "Carpet 8 mm", "Vorhang", "Parkett", "Panel A, 20 % open", "Moquette", "Tapis", "Baffle E-400",
-    "Holzfaser 25 mm", "A1", "Type 30", "Mineral wool 50", "Sitz", "Chair X", "Wall", "B",
-    "Panel 1.2 m²", "Mittelgang", "Maxi 40", "U channel", "T-bar",
-)  # fmt: skip
-PERCENT = {
-    "en": "percent", "de": "Prozent", "fr": "pour cent", "es": "por ciento", "it": "per cento",
-    "pt": "por cento",
-}  # fmt: skip
-TITLES = (
-    "ISO 354 laboratory X",
-    "Probe: 10,8 m²",
-    "Sample area: 12 m²",
-    "50 % r. F.",
-    "Hall, May 2026",
-)
+DRAWN_FROM = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+LANGUAGES: dict[str, dict[str, list[str]]] = DRAWN_FROM["words"]
+PRODUCTS, TITLES = DRAWN_FROM["products"], DRAWN_FROM["titles"]
 PLACES = (
     "title", "header", "row below", "row above", "column", "cell", "name", "nowhere",
 )  # fmt: skip
+STYLES = (
+    (";", ","), (";", "."), (",", "."), ("\t", ","), ("\t", "."), ("xlsx", "."), ("|", "."), (",", ","),
+)  # fmt: skip
+"""Separator and decimal mark; a text of two commas has quotes."""
 THIRDS = (100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500)
 OCTAVES = (63, 125, 250, 500, 1000, 2000, 4000)
 
@@ -191,17 +73,7 @@ class _Draw:
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng([58, seed])
         self.language = str(self.rng.choice(list(LANGUAGES)))
-        styles = [
-            (";", ","),
-            (";", "."),
-            (",", "."),
-            ("\t", ","),
-            ("\t", "."),
-            ("xlsx", "."),
-            ("|", "."),
-        ]
-        styles.append((",", ","))  # with quotes
-        self.separator, self.mark = styles[int(self.rng.integers(len(styles)))]
+        self.separator, self.mark = self.one(STYLES)
 
     def one(self, choices: Any) -> Any:
         return choices[int(self.rng.integers(len(choices)))]
@@ -219,31 +91,36 @@ class _Draw:
     def content(self, sheets: dict[str, Cells]) -> tuple[str, bytes]:
         """Return the file's ending and its bytes; text takes the first sheet."""
         if self.separator == "xlsx" or len(sheets) > 1:
-            book = openpyxl.Workbook()
-            book.remove(book.active)
-            for name, rows in sheets.items():
-                sheet = book.create_sheet(name)
-                for row in rows:
-                    sheet.append(row)
-                for cell in (c for row in sheet.iter_rows() for c in row):
-                    if isinstance(cell.value, str) and re.fullmatch(r"[\d.]+ %", cell.value):
-                        cell.value = round(float(cell.value[:-2]) / 100, 10)
-                        cell.number_format = "0%"
-            stream = io.BytesIO()
-            book.save(stream)
-            return ".xlsx", stream.getvalue()
-        stream_of_text = io.StringIO()
-        writer = csv.writer(stream_of_text, delimiter=self.separator, lineterminator="\r\n")
+            return ".xlsx", workbook(sheets)
+        stream = io.StringIO()
+        writer = csv.writer(stream, delimiter=self.separator, lineterminator="\r\n")
         for row in next(iter(sheets.values())):
             writer.writerow(["" if c is None else self.text(c) for c in row])
         encoding = self.one(["utf-8", "utf-8-sig", "utf-16"])
-        return ".csv", stream_of_text.getvalue().encode(encoding)
+        return ".csv", stream.getvalue().encode(encoding)
 
     def text(self, cell: Any) -> str:
         return cell if isinstance(cell, str) else f"{cell:.12g}".replace(".", self.mark)
 
     def with_unit(self, header: str, unit: str) -> str:
         return header + str(self.one([" [{}]", " ({})", " in {}", " / {}"])).format(unit)
+
+
+def workbook(sheets: dict[str, Cells]) -> bytes:
+    """Return the bytes of a workbook; percent are cells of this format."""
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+        for cell in (c for row in sheet.iter_rows() for c in row):
+            if isinstance(cell.value, str) and re.fullmatch(r"[\d.]+ %", cell.value):
+                cell.value = round(float(cell.value[:-2]) / 100, 10)
+                cell.number_format = "0%"
+    stream = io.BytesIO()
+    book.save(stream)
+    return stream.getvalue()
 
 
 def example(seed: int) -> Drawn:
@@ -262,7 +139,11 @@ def _materials(draw: _Draw) -> Drawn:
         place = "row below"
     small = unit == "%" and draw.chance(0.5)
     factor = 100 if unit.startswith("%") else 1
-    spelt = draw.one(["%", "%", PERCENT[draw.language]]) if unit == "%" else unit.partition(" ")[0]
+    spelt = (
+        draw.one(["%", "%", *LANGUAGES[draw.language]["percent"]])
+        if unit == "%"
+        else unit.partition(" ")[0]
+    )
     truth = {
         name: {f: float(draw.rng.integers(1, 2 if small else 96)) / 100 for f in bands}
         for name in names
@@ -395,14 +276,12 @@ def _values(draw: _Draw) -> Drawn:
 
     sheets: dict[str, Cells] = {}
     titles: Cells = [[draw.one(["Hall X", "ISO 3382-2"])]] if draw.chance(0.3) else []
+    if layout in ("corner", "across", "merged") and place == "row below":
+        place = "header"
+    below = place == "row below"
     if layout == "long":
-        head = [
-            draw.word("source"),
-            draw.word("receiver"),
-            draw.word("parameter"),
-            "f",
-            name(draw.word("value")),
-        ]
+        head = [*(draw.word(w) for w in ("source", "receiver", "parameter")), "f"]
+        head.append(name(draw.word("value")))
         where = draw.one([0, 1, 2])  # the column of the statistic's name: source, receiver, both
         rows = [
             [*pair, "T20", f, v]
@@ -413,51 +292,42 @@ def _values(draw: _Draw) -> Drawn:
         for statistic in statistics:
             of = [(statistic, ""), ("", statistic), (statistic, statistic)][where]
             more += [[*of, "T20", f, v] for f, v in zip(bands, means, strict=True)]
-        units = ["", "", "", "Hz", unit]
-        table = [head, *([units] if place == "row below" else []), *in_order(rows, more)]
+        units = [["", "", "", "Hz", unit]]
+        table = [head, *(units if below else []), *in_order(rows, more)]
     elif layout == "rows":
         head = [draw.word("source"), draw.word("receiver"), *(name(f"T20 {f} Hz") for f in bands)]
         rows = [[*pair, *values_of(pair)] for pair in pairs]
         more = [["" if draw.chance(0.5) else "S1", s, *means] for s in statistics]
-        units = ["", "", *([unit] * len(bands))]
-        table = [head, *([units] if place == "row below" else []), *in_order(rows, more)]
+        units = [["", "", *([unit] * len(bands))]]
+        table = [head, *(units if below else []), *in_order(rows, more)]
     elif layout == "corner":
-        place = "header" if place == "row below" else place
         head = [name("T20"), *(draw.one([f"{f} Hz", f"{f}"]) for f in bands)]
         rows = [["".join(pair), *values_of(pair)] for pair in pairs]
         table = [head, *in_order(rows, [[s, *means] for s in statistics])]
     elif layout == "across":
-        place = "header" if place == "row below" else place
         one_source = len(sources) == 1 and draw.chance(0.5)
         heads = [r if one_source else s + r for s, r in pairs]
-        head = [name("T20"), *in_order(heads, statistics)]
-        table = [head]
-        for i, f in enumerate(bands):
-            of_pairs = [values_of(pair)[i] for pair in pairs]
-            table.append([f, *in_order(of_pairs, [means[i]] * len(statistics))])
+        columns = in_order([values_of(p) for p in pairs], [means] * len(statistics))
+        table = [[name("T20"), *in_order(heads, statistics)]]
+        table += [[f, *row] for f, row in zip(bands, zip(*columns, strict=True), strict=True)]
     elif layout == "sheets":
         of_sheets = {"".join(pair): values_of(pair) for pair in pairs}
         of_sheets |= dict.fromkeys((s.replace("/", " ")[:30] for s in statistics), means)
         for sheet, values in of_sheets.items():
-            sheets[sheet] = [["Frequency [Hz]", name("T20")]]
-            if place == "row below":
-                sheets[sheet].append(["Hz", unit])
+            sheets[sheet] = [["Frequency [Hz]", name("T20")], *([["Hz", unit]] if below else [])]
             sheets[sheet] += [[f, v] for f, v in zip(bands, values, strict=True)]
-        table = []
     else:
-        place = "header" if place == "row below" else place
         blocks = in_order([s + r for s, r in pairs], statistics)
+        columns = in_order([values_of(p) for p in pairs], [means] * len(statistics))
         table = [["", *(c for b in blocks for c in (b, ""))]]
         table.append(["Frequency", *(c for _ in blocks for c in (name("T20"), name("EDT")))])
-        for i, f in enumerate(bands):
-            of_pairs = [values_of(pair)[i] for pair in pairs]
-            cells = in_order(of_pairs, [means[i]] * len(statistics))
-            table.append([f, *(c for cell in cells for c in (cell, cell))])
+        table += [
+            [f, *np.repeat(np.array(row, dtype=object), 2).tolist()]
+            for f, row in zip(bands, zip(*columns, strict=True), strict=True)
+        ]
         truth |= {(*key[:2], "edt", key[3]): value for key, value in list(truth.items())}
         titles = []
-    if not sheets:
-        sheets = {"Sheet": [*titles, *table]}
-    ending, content = draw.content(sheets)
+    ending, content = draw.content(sheets or {"Sheet": [*titles, *table]})
     what = f"{layout}, {unit} {place}, statistics {statistics}"
     return Drawn("values", "table" + ending, content, truth, what)
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,21 +50,12 @@ CASES = {
 TOLERANCE = 0.5  # JND: the other half is left to the noise of simulator and measurement
 RELATIVE_SIGMA = 0.3  # large hard walls would hit alpha = 0 with absolute sigma
 COLUMNS = (
-    "simulations",
-    "prior",
-    "equation",
-    "after",
-    "held out",
-    "EDT",
-    "C50",
-    "C80",
-    "own noise",
-)
+    "simulations", "prior", "equation", "after", "held out", "EDT", "C50", "C80", "own noise",
+)  # fmt: skip
+Points = dict[str, Sequence[float]]
 
 
-def moved(
-    points: dict[str, Sequence[float]], rng: np.random.Generator
-) -> dict[str, Sequence[float]]:
+def moved(points: Points, rng: np.random.Generator) -> Points:
     """Each point half a metre to the side."""
     found = {}
     for name, (x, y, z) in points.items():
@@ -73,48 +64,20 @@ def moved(
     return found
 
 
-def only(measured: rt.Measurement, receivers: dict[str, Sequence[float]]) -> rt.Measurement:
+def only(measured: rt.Measurement, receivers: Points) -> rt.Measurement:
     """The measurement at some receivers."""
     rows = [i for i, (_, r) in enumerate(measured.pairs) if r in receivers]
-    return rt.Measurement(
-        centre_frequencies=measured.centre_frequencies,
+    return replace(
+        measured,
         values={k: v[rows] for k, v in measured.values.items()},
         pairs=[measured.pairs[i] for i in rows],
         uncertainty={k: v[rows] for k, v in measured.uncertainty.items()},
     )
 
 
-def largest(model: rt.Measurement, measured: rt.Measurement, parameter: str) -> float:
+def largest(model: rt.Measurement, measured: rt.Measurement, parameter: str = "t20") -> float:
     gaps = gap_jnd(model.mean(parameter), measured.mean(parameter), parameter)
     return float(np.abs(gaps).max())
-
-
-def measure(name: str, case: Case, trial: int) -> rt.Measurement:
-    """Return what the other engine finds in the hall with the coefficients of this trial."""
-    rng = np.random.default_rng([2, trial])
-    hall = getattr(halls, name)()
-    room = prior(hall, case)
-    truth = np.clip(
-        room.alpha + room.sigma * rng.standard_normal((room.n_materials, 1)), 0.01, 0.95
-    )
-    return RayTracing(
-        geometry=hall.geometry,
-        room=room,
-        sources=chosen(hall, case),
-        receivers=moved({**hall.receivers, **hall.held_out}, rng),
-        n_rays=case.n_rays,
-        scattering=np.minimum(1.5 * room.scattering, 1),
-    ).simulate(truth, seed=trial)
-
-
-def prior(hall: halls.Hall, case: Case) -> rt.Room:
-    """The room, its sigma in proportion to alpha where the case says so."""
-    return hall.room.replace(sigma=RELATIVE_SIGMA * hall.room.alpha) if case.relative else hall.room
-
-
-def chosen(hall: halls.Hall, case: Case) -> dict[str, Sequence[float]]:
-    """The sources that sound."""
-    return dict(list(hall.sources.items())[: case.n_sources])
 
 
 @dataclass(frozen=True)
@@ -128,37 +91,42 @@ class Trial:
 
 
 def run(name: str, case: Case, trial: int) -> Trial:
-    measured = measure(name, case, trial)
+    """Calibrate a hall to what the other engine finds in it with the coefficients of this trial."""
     hall = getattr(halls, name)()
-    room = prior(hall, case)
+    room = hall.room.replace(sigma=RELATIVE_SIGMA * hall.room.alpha) if case.relative else hall.room
+    sources = dict(list(hall.sources.items())[: case.n_sources])
+    rng = np.random.default_rng([2, trial])
+    off = room.sigma * rng.standard_normal((room.n_materials, 1))
+    measured = RayTracing(
+        geometry=hall.geometry,
+        room=room,
+        sources=sources,
+        receivers=moved({**hall.receivers, **hall.held_out}, rng),
+        n_rays=case.n_rays,
+        scattering=np.minimum(1.5 * room.scattering, 1),
+    ).simulate(np.clip(room.alpha + off, 0.01, 0.95), seed=trial)
 
-    def tracer(receivers: dict[str, Sequence[float]], n_paths: int) -> PathTracing:
+    def tracer(receivers: Points, n_paths: int) -> PathTracing:
         return PathTracing(
             geometry=hall.geometry,
             room=room,
-            sources=chosen(hall, case),
-            receivers=receivers,
+            sources=sources,
+            receivers=dict(receivers),
             n_paths=n_paths,
         )
 
     seen, unseen = only(measured, hall.receivers), only(measured, hall.held_out)
-    simulator = tracer(dict(hall.receivers), case.n_paths)
+    simulator = tracer(hall.receivers, case.n_paths)
     with_prior = simulator.simulate(room.alpha, seed=trial)
     result = calibrate_simulator(simulator, room, seen, seed=trial, tolerance=TOLERANCE)
     after = simulator.simulate(result.alpha, seed=100 + trial)
-    confirmed = tracer(dict(hall.held_out), 4 * case.n_paths).simulate(
-        result.alpha, seed=200 + trial
-    )
+    held_out = tracer(hall.held_out, 4 * case.n_paths)
+    confirmed = held_out.simulate(result.alpha, seed=200 + trial)
     noise = seen.mean_uncertainty("t20") / seen.mean("t20") / TARGET.jnd
     numbers = [
         float(len(result.steps)),
-        largest(with_prior, seen, "t20"),
-        largest(result.before, seen, "t20"),
-        largest(after, seen, "t20"),
-        largest(confirmed, unseen, "t20"),
-        largest(confirmed, unseen, "edt"),
-        largest(confirmed, unseen, "c50"),
-        largest(confirmed, unseen, "c80"),
+        *(largest(made, seen) for made in (with_prior, result.before, after)),
+        *(largest(confirmed, unseen, p) for p in ("t20", "edt", "c50", "c80")),
         float(noise.max()),
     ]
     return Trial(numbers, seen, result.before, after)
@@ -170,25 +138,22 @@ def main() -> None:
     parser.add_argument("--hall", choices=CASES, action="append")
     arguments = parser.parse_args()
 
-    def show(name: str, trial: str, row: list[float]) -> None:
+    def show(name: str, trial: str, row: Sequence[float]) -> None:
         cells = "".join(
             f"{v:{len(c) + 2}.{2 * (i > 0)}f}"
             for i, (c, v) in enumerate(zip(COLUMNS, row, strict=True))
         )
         print(f"{name:14}{trial:>7}{cells}", flush=True)
 
-    print(
-        f"{'hall':14}{'trial':>7}"
-        + "".join(f"  {c}" for c in COLUMNS)
-        + "   (largest gap over bands, JND)"
-    )
+    columns = "".join(f"  {c}" for c in COLUMNS)
+    print(f"{'hall':14}{'trial':>7}{columns}   (largest gap over bands, JND)")
     for name in arguments.hall or CASES:
         rows = []
         for trial in range(arguments.trials):
             rows.append(run(name, CASES[name], trial).numbers)
             show(name, str(trial), rows[-1])
-        show(name, "median", list(np.median(rows, axis=0)))
-        show(name, "worst", list(np.max(rows, axis=0)))
+        show(name, "median", np.median(rows, axis=0))
+        show(name, "worst", np.max(rows, axis=0))
 
 
 if __name__ == "__main__":

@@ -20,8 +20,7 @@ from rtcal.support.errors import DataError
 
 ALPHAS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
 SIDES = (5.0, 7.0, 3.0)
-
-
+RULES: tuple[Rule, ...] = ("secant", "safeguarded")
 CENTRES = np.array([31.5, 63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000])
 
 
@@ -68,43 +67,38 @@ def main() -> None:
     parser.add_argument("--singly", type=int, default=0, help="also single positions, how many")
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
-    low, high = np.full(3, 0.7), np.array(SIDES) - 0.7
 
     def position() -> tuple[float, ...]:
-        return tuple(float(x) for x in rng.uniform(low, high))
+        return tuple(rng.uniform(0.7, np.array(SIDES) - 0.7).tolist())
 
     receivers = {"R1": (2.0, 2.0, 1.5)}  # the paper's, then random ones
     receivers |= {f"R{i + 1}": position() for i in range(1, arguments.positions)}
-    paper = errors("secant", receivers, arguments.rate)
-    own = errors("safeguarded", receivers, arguments.rate)
+    paper, own = (errors(rule, receivers, arguments.rate) for rule in RULES)
     print(f"{arguments.positions} positions; error of T20 in %")
     print("alpha  uncorrected    one    two   safeguarded  corrections")
-    for k, alpha in enumerate(ALPHAS):
-        within = np.flatnonzero(np.abs(own[:, k]) <= 5)
+    for alpha, first, best in zip(ALPHAS, paper[:3].T, own.T, strict=True):
+        within = np.flatnonzero(np.abs(best) <= 5)
         corrections = str(within[0]) if within.size else "not within 1 JND"
         print(
-            f"{alpha:5.2f}  {paper[0, k]:11.1f}{paper[1, k]:7.1f}{paper[2, k]:7.1f}"
-            f"{own[np.argmin(np.abs(own[:, k])), k]:14.1f}  {corrections}"
+            f"{alpha:5.2f}  {first[0]:11.1f}{first[1]:7.1f}{first[2]:7.1f}"
+            f"{best[np.argmin(np.abs(best))]:14.1f}  {corrections}"
         )
-    missed: dict[Rule, int] = {"secant": 0, "safeguarded": 0}
-    refused = 0
+    missed, refused = dict.fromkeys(RULES, 0), 0
     for _ in range(arguments.singly):
         one = {"R": position()}
-        for rule in missed:
+        for rule in RULES:
             try:
                 best = np.abs(errors(rule, one, arguments.rate)).min(axis=0)
+                missed[rule] += int(np.count_nonzero(best > 5))
             except DataError:  # the decay has no T20: the direct sound is all of it
                 refused += 1
-                continue
-            missed[rule] += int(np.count_nonzero(best > 5))
     if refused:
         print(f"{refused} runs at single positions refused: a decay there has no T20")
-    for rule, count in missed.items():
-        if arguments.singly:
-            print(
-                f"{rule}: {count} of {arguments.singly * len(ALPHAS)} single positions and alphas "
-                "not within 1 JND after 6 corrections"
-            )
+    for rule, count in missed.items() if arguments.singly else ():
+        print(
+            f"{rule}: {count} of {arguments.singly * len(ALPHAS)} single positions and alphas "
+            "not within 1 JND after 6 corrections"
+        )
 
 
 if __name__ == "__main__":

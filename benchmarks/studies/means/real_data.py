@@ -57,6 +57,7 @@ def room_of(name: str, volume: float, areas: dict[str, Any], alpha: Array, **mor
 
 # PTB's studio -------------------------------------------------------------------------------------
 
+PTB_VOLUME = 383.0
 PTB_AIR = rt.Air(20.0, 50.0)
 PTB_KEYS = {"t30": "T30", "edt": "EDT", "c80": "C", "g": "G"}
 
@@ -76,7 +77,7 @@ def ptb_room(left_out: Sequence[str], air: rt.Air | None = PTB_AIR) -> rt.Room:
     """The studio without the materials named."""
     every = {k: v for k, v in ptb_materials().items() if k not in left_out}
     areas, alpha = {k: s for k, (s, _) in every.items()}, np.array([a for _, a in every.values()])
-    return room_of("PTB studio", 383.0, areas, alpha, air=air)
+    return room_of("PTB studio", PTB_VOLUME, areas, alpha, air=air)
 
 
 def ptb_measured(
