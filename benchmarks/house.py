@@ -42,43 +42,29 @@ def docstrings(tree: ast.Module) -> set[int]:
     return lines
 
 
-@dataclass
 class Module:
     """A file of Python: its lines, its code and what it defines and imports."""
 
-    path: Path
-    text: str = field(init=False, repr=False)
-    tree: ast.Module = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        self.text = self.path.read_text(encoding="utf-8")
+    def __init__(self, path: Path) -> None:
+        self.path, self.text = path, path.read_text(encoding="utf-8")
         self.tree = ast.parse(self.text)
-
-    def number(self, *kinds: type[ast.AST]) -> int:
-        """Nodes of these kinds."""
-        return sum(isinstance(node, kinds) for node in ast.walk(self.tree))
-
-    @property
-    def lines(self) -> int:
-        return len(self.text.splitlines())
-
-    @property
-    def code(self) -> int:
-        """Lines that hold a token, other than a comment, outside docstrings."""
+        self.lines = len(self.text.splitlines())
+        # Lines that hold a token, other than a comment, outside docstrings.
         held: set[int] = set()
         for token in tokenize.generate_tokens(io.StringIO(self.text).readline):
             if token.type not in _NO_CODE:
                 held.update(range(token.start[0], token.end[0] + 1))
-        return len(held - docstrings(self.tree))
-
-    @property
-    def imports(self) -> int:
-        """Names that are imported from the package itself, anywhere in the file."""
-        return sum(
+        self.code = len(held - docstrings(self.tree))
+        # Names that are imported from the package itself, anywhere in the file.
+        self.imports = sum(
             len(node.names)
             for node in ast.walk(self.tree)
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("rtcal")
         )
+
+    def number(self, kind: type[ast.AST]) -> int:
+        """Nodes of a kind."""
+        return sum(isinstance(node, kind) for node in ast.walk(self.tree))
 
 
 def exported() -> tuple[int, int]:
@@ -142,11 +128,10 @@ def paths() -> dict[str, Callable[[], Any]]:
     sides = (7.0, 5.0, 3.0)
     walls = dict.fromkeys(("west", "east", "south", "north"), "plaster")
     box = rt.simulators.Polyhedron.shoebox(sides, {**walls, "floor": "carpet", "ceiling": "tiles"})
-    bands = [250, 500, 1000]
     hall = rt.Room.from_geometry(
         box,
         name="room",
-        centre_frequencies=bands,
+        centre_frequencies=[250, 500, 1000],
         materials=[
             rt.Material(n, [a] * 3, [0.05] * 3, scattering=[0.2] * 3)
             for n, a in (("plaster", 0.08), ("carpet", 0.2), ("tiles", 0.5))
@@ -180,14 +165,14 @@ def main() -> None:
     }
     print(f"{'':<12} {'lines':>7} {'code':>7} {'modules':>7} {'classes':>7} {'functions':>9}")
     for name, modules in groups.items():
-        print(
-            f"{name:<12} {sum(m.lines for m in modules):7} {sum(m.code for m in modules):7} "
-            f"{len(modules):7} {sum(m.number(ast.ClassDef) for m in modules):7} "
-            f"{sum(m.number(ast.FunctionDef) for m in modules):9}"
-        )
+        lines, code = sum(m.lines for m in modules), sum(m.code for m in modules)
+        kinds = [sum(m.number(k) for m in modules) for k in (ast.ClassDef, ast.FunctionDef)]
+        print(f"{name:<12} {lines:7} {code:7} {len(modules):7} {kinds[0]:7} {kinds[1]:9}")
     own = groups["rtcal"]
-    for folder in sorted({m.path.relative_to(GROUPS["rtcal"]).parts[0] for m in own}):
-        inside = [m for m in own if m.path.relative_to(GROUPS["rtcal"]).parts[0] == folder]
+    folders: dict[str, list[Module]] = {}
+    for m in own:
+        folders.setdefault(m.path.relative_to(GROUPS["rtcal"]).parts[0], []).append(m)
+    for folder, inside in sorted(folders.items()):
         print(f"  {folder:<14} {sum(m.lines for m in inside):7} lines, {len(inside):3} modules")
 
     imports = sorted(m.imports for m in own)
@@ -211,11 +196,8 @@ def main() -> None:
             print("    forms:", ", ".join(sorted(kind.__name__ for kind in trace.made)))
     if given.modules:
         print("\nmodule: lines, code, imports")
-        for module in sorted(own, key=lambda m: -m.lines):
-            print(
-                f"{module.lines:6} {module.code:6} {module.imports:4}  "
-                f"{module.path.relative_to(ROOT)}"
-            )
+        for m in sorted(own, key=lambda m: -m.lines):
+            print(f"{m.lines:6} {m.code:6} {m.imports:4}  {m.path.relative_to(ROOT)}")
 
 
 if __name__ == "__main__":

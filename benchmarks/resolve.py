@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import time
+import timeit
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -19,15 +20,12 @@ import cvxpy as cp
 import numpy as np
 
 import rtcal as rt
+from rtcal.acoustics.bands import octaves, third_octaves
 from rtcal.calibration.methods import preset
 
 METHODS = ("mle", "lse", "soft", "smooth", "robust", "correlated")
 SIZES = ((6, 6), (23, 8), (40, 8))
-OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
-THIRDS = [
-    *(50, 63, 80, 100, 125, 160, 200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500),
-    *(3150, 4000, 5000, 6300, 8000, 10000, 12500, 16000, 20000),
-]
+OCTAVES, THIRDS = octaves(63, 8000), third_octaves(50, 20_000)
 
 
 def case(n: int, k: int, seed: int, method: str) -> tuple[rt.Room, rt.Measurement]:
@@ -91,11 +89,7 @@ class Plain:
 
 def least(call: Callable[[], Any], times: int = 5) -> float:
     """Return the least processor time of several calls in ms."""
-    spent = []
-    for _ in range(times):
-        began = time.process_time()
-        call()
-        spent.append(time.process_time() - began)
+    spent = timeit.repeat(call, timer=time.process_time, number=1, repeat=times)
     return 1e3 * min(spent)
 
 

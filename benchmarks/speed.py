@@ -8,6 +8,7 @@ threads count. On a busy machine only the ratios, of times in one turn, mean som
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import math
 import os
@@ -18,9 +19,11 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 HERE = Path(__file__).resolve().parents[1]
 Measured = dict[str, float]
@@ -90,18 +93,17 @@ def find_again(folder: Path) -> Measured:
     lines = (data("where_room") / "pairs.csv").read_text().splitlines()
     values = [line.split(",")[2:] for line in lines if line.startswith("S1,R1,")]
     head, _, rest = (data("where_room") / "room.toml").read_text().partition("[sources]")
-    below, out = rest[rest.index("[air]") :], {}
+    out = {}
     for n in (4, 8):
         at = folder / f"pairs{n}"
         at.mkdir()
         shutil.copy(data("where_room") / "room.obj", at)
-        placed = [f"[sources]\n{_places('S', n, 1.5)}", f"[receivers]\n{_places('R', n, 1.2)}"]
-        (at / "room.toml").write_text("\n".join([head, *placed, below]))
+        placed = f"[sources]\n{_places('S', n, 1.5)}\n[receivers]\n{_places('R', n, 1.2)}\n"
+        (at / "room.toml").write_text(head + placed + rest[rest.index("[air]") :])
         # T of the shipped pair, with a ripple of 3 % that differs by pair.
         rows = [
             f"S{i},R{k},{name},{band},{float(t) * (1 + 0.03 * math.sin(7 * i + 3 * k + j)):.4f}"
-            for i in range(n)
-            for k in range(n)
+            for i, k in itertools.product(range(n), repeat=2)
             for j, (name, band, t) in enumerate(values)
         ]
         (at / "pairs.csv").write_text("\n".join([lines[0], *rows]) + "\n")
@@ -116,8 +118,7 @@ def _places(letter: str, n: int, height: float) -> str:
     """Return n places in both arms of the L-shaped room, as lines of a room's file."""
     rows = []
     for i in range(n):
-        along, across = 1 + 6 * (i + 0.5) / n, 1.0 if letter == "S" else 2.2
-        x, y = (along, across) if i % 2 else (across, along)
+        x, y = (1 + 6 * (i + 0.5) / n, 1.0 if letter == "S" else 2.2)[:: 1 if i % 2 else -1]
         rows.append(f"{letter}{i} = [{x:.3f}, {y:.3f}, {height}]")
     return "\n".join(rows)
 
@@ -125,23 +126,18 @@ def _places(letter: str, n: int, height: float) -> str:
 def large_mesh(folder: Path) -> Measured:
     """Check a box of 99,372 triangles."""
     n, lines, faces = 91, [], []
-    for axis in range(3):
-        for end in (0.0, 1.0):
-            first = len(lines) + 1
-            for i in range(n + 1):
-                for k in range(n + 1):
-                    corner = [i / n, k / n]
-                    corner.insert(axis, end)
-                    x, y, z = (c * size for c, size in zip(corner, (9, 7, 3), strict=True))
-                    lines.append(f"v {x:.6f} {y:.6f} {z:.6f}")
-            faces.append(f"usemtl wall{axis}{end:.0f}")
-            for i in range(n):
-                for k in range(n):
-                    a = first + i * (n + 1) + k
-                    b, c, d = a + 1, a + n + 1, a + n + 2
-                    turned = (end == 1.0) == (axis != 1)
-                    for u, v, w in ((a, c, d), (a, d, b)):
-                        faces.append(f"f {u} {v} {w}" if turned else f"f {u} {w} {v}")
+    for axis, end in itertools.product(range(3), (0, 1)):
+        first = len(lines) + 1
+        for corner in itertools.product(range(n + 1), repeat=2):
+            at = [c / n for c in corner]
+            at.insert(axis, end)
+            lines.append("v {:.6f} {:.6f} {:.6f}".format(*np.multiply(at, (9, 7, 3))))
+        faces.append(f"usemtl wall{axis}{end}")
+        for i, k in itertools.product(range(n), repeat=2):
+            a = first + i * (n + 1) + k
+            b, c, d = a + 1, a + n + 1, a + n + 2
+            turned = 1 if (end == 1) == (axis != 1) else -1
+            faces += ["f {} {} {}".format(*face[::turned]) for face in ((a, c, d), (a, d, b))]
     (folder / "box.obj").write_text("\n".join([*lines, *faces]) + "\n")
     return {"cpu s": command(folder, "import", "check", "box.obj")["cpu"]}
 
@@ -166,38 +162,15 @@ def printed(_: Path) -> Measured:
     return {"ms": 1e3 * (said := spent(lambda: str(result))), "over calibrate": said / own}
 
 
-def smooth(_: Path) -> Measured:
-    """Solve smooth problems a second time, beside plain cvxpy."""
-    from resolve import Plain, case
-
-    import rtcal as rt
-
-    out = {}
-    for n, bands in ((23, 8), (500, 27)):
-        room, measured = case(n, bands, 0, "smooth")
-        result = rt.calibrate(room, measured, method="smooth")
-        own = spent(lambda: rt.calibrate(room, measured, method="smooth"))  # noqa: B023
-        plain, at = Plain("smooth", n, bands), (room, result.target, result.target_uncertainty)
-        plain.solve(*at, "smooth")
-        other = spent(lambda: plain.solve(*at, "smooth"))  # noqa: B023
-        out[f"{n} x {bands} over plain"] = own / other
-    return out
-
-
 def fit(_: Path) -> Measured:
     """Fit a path tracing to every position of three boxes."""
-    import numpy as np
-
     import rtcal as rt
-    from rtcal.simulators import PathTracing, Polyhedron
 
     out = {}
     for size in ((7, 5, 3), (10, 7, 3.5), (6, 9, 4)):
-        rng, walls = (
-            np.random.default_rng(round(size[0])),
-            ["west", "east", "south", "north", "floor", "ceiling"],
-        )
-        geometry = Polyhedron.shoebox(size, {wall: wall for wall in walls})
+        rng = np.random.default_rng(round(size[0]))
+        walls = ["west", "east", "south", "north", "floor", "ceiling"]
+        geometry = rt.simulators.Polyhedron.shoebox(size, {wall: wall for wall in walls})
         alpha = rng.uniform(0.05, 0.35, (6, 1)) * rng.uniform(0.8, 1.2, (6, 6))
         room = rt.Room(
             name="box",
@@ -210,7 +183,7 @@ def fit(_: Path) -> Measured:
             air=rt.Air(),
         )
         at = [rng.uniform(0.2, 0.8, 3) * size for _ in range(5)]
-        tracer = PathTracing(
+        tracer = rt.simulators.PathTracing(
             room=room,
             geometry=geometry,
             sources={f"S{i}": at[i] for i in range(2)},
@@ -223,18 +196,9 @@ def fit(_: Path) -> Measured:
     return out
 
 
-ROWS: Mapping[str, Callable[[Path], Measured]] = {
+ROWS: dict[str, Callable[[Path], Measured]] = {
     of.__name__: of
-    for of in (
-        find_at_positions,
-        find_again,
-        find_of_means,
-        calibrate,
-        printed,
-        smooth,
-        large_mesh,
-        fit,
-    )
+    for of in (find_at_positions, find_again, find_of_means, calibrate, printed, large_mesh, fit)
 }
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from qpbenchmark.shgeom import shgeom
 
 from benchmarks.solvers.cases import RUNTIME
 from benchmarks.solvers.run import DENSE_LIMIT, ENOUGH, EPS, TOO_SLOW, read
+from benchmarks.studies.rates import markdown
 from rtcal.files.disk import write_text
 
 SHIFT = 10.0  # microseconds; qpbenchmark's ten seconds would hide every difference here
@@ -31,13 +31,6 @@ def of_run(path: Path) -> pd.DataFrame:
     return pd.DataFrame(
         {**asdict(r), "off": r.off(1e-6), **{c: getattr(r, c) for c in counts}} for r in read(path)
     )
-
-
-def markdown(head: Sequence[object], lines: Sequence[Sequence[object]]) -> str:
-    """Return a table in Markdown."""
-    rule = "|" + "---|" * len(head)
-    rows = ["| " + " | ".join(map(str, line)) + " |" for line in (head, *lines)]
-    return "\n".join([rows[0], rule, *rows[1:]])
 
 
 def worst(values: pd.Series) -> str:
@@ -80,7 +73,7 @@ def accuracy(groups: dict[Any, pd.DataFrame]) -> str:
         for (route, setting), own in groups.items()
         if setting in SHOWN
     ]
-    return markdown(head.split(), lines)
+    return markdown(head.split(), *lines)
 
 
 def times(groups: dict[Any, pd.DataFrame]) -> str:
@@ -94,7 +87,7 @@ def times(groups: dict[Any, pd.DataFrame]) -> str:
             means = [mean(own.query(where)) for where in ranges.values()]
             cells = [f"{m:.0f}" if np.isfinite(m) else NONE for m in means]
             lines.append((route, SHOWN[setting], *cells))
-    return markdown(("route", "settings", *ranges), lines)
+    return markdown(("route", "settings", *ranges), *lines)
 
 
 def sizes(rows: pd.DataFrame) -> str:
@@ -107,7 +100,7 @@ def sizes(rows: pd.DataFrame) -> str:
         (route, *(NONE if np.isnan(t) else f"{t:.3g}" for t in curve))
         for route, curve in zip(curves.index, curves.to_numpy(), strict=True)
     ]
-    return markdown(("route", *curves.columns), lines)
+    return markdown(("route", *curves.columns), *lines)
 
 
 def iterations(also: dict[str, Any]) -> str:
@@ -115,7 +108,7 @@ def iterations(also: dict[str, Any]) -> str:
     table = pd.DataFrame(also["iterations"])
     medians = table.pivot_table("iterations", "unknowns", "warm", "median")
     lines = [(n, f"{cold:.0f}", f"{warm:.0f}") for n, cold, warm in medians.itertuples()]
-    return markdown(("unknowns", "cold", "from the closed form"), lines)
+    return markdown(("unknowns", "cold", "from the closed form"), *lines)
 
 
 def throughput(groups: dict[Any, pd.DataFrame], also: dict[str, Any]) -> str:
@@ -135,7 +128,7 @@ def throughput(groups: dict[Any, pd.DataFrame], also: dict[str, Any]) -> str:
             cells = f"{own[route]:.0f}", f"{1e6 / own[route]:,.0f}"
             lines.append((n, f"{route}, one by one", *cells))
     head = ("n", "how", "microseconds a problem", "problems a second")
-    return markdown(head, sorted(lines, key=lambda line: line[0]))
+    return markdown(head, *sorted(lines, key=lambda line: line[0]))
 
 
 def text(folder: Path, size: str) -> str:

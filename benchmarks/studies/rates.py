@@ -1,4 +1,4 @@
-"""Shares, and statistics over rooms, with their 95 % intervals."""
+"""Shares, and statistics over rooms, with their 95 % intervals; tables in Markdown."""
 
 from __future__ import annotations
 
@@ -39,3 +39,12 @@ def over(statistic: Callable[..., Any], *columns: Iterable[Any]) -> Line:
         drawn.append(statistic(*(v[i] for v in values)))
     low, high = np.quantile(drawn, [0.025, 0.975])
     return float(statistic(*values)), float(low), float(high), n
+
+
+def markdown(head: Iterable[object], *lines: Iterable[object]) -> str:
+    """Return a table in Markdown."""
+    names = [*head]
+    rule = ["---"] * len(names)
+    cells = ([f" {cell} " if cell != "" else " " for cell in line] for line in (names, *lines))
+    first, *rest = (f"|{'|'.join(row)}|" for row in cells)
+    return "\n".join([first, f"|{'|'.join(rule)}|", *rest])

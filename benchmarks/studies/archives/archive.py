@@ -1,6 +1,6 @@
 """Hidden firms: what an archive of rooms knows of its materials, judged in a room that it lacks.
 
-    python -m benchmarks.studies.archives.archive firms [--firms 100] [--first 0] [--rooms 20] [--out F]
+    python -m benchmarks.studies.archives.archive firms [--firms 100] [--first 0] [--rooms 20]
     python -m benchmarks.studies.archives.archive misnamed [--firms 100]
 
 A firm has 20 measured rooms and 12 materials, 4 to 8 in each room. The tables that it uses are off:
@@ -12,15 +12,15 @@ archive is told a firm's rooms, and judged in the twenty-first.
 from __future__ import annotations
 
 import argparse
-import json
+import itertools
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
 
 import rtcal as rt
+from benchmarks.studies.rates import markdown
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.support.types import Array
 
@@ -83,16 +83,11 @@ class Firm:
         return stated, alpha, t * np.exp(TIME * rng.standard_normal(len(BANDS)))
 
 
-def measured(t: Array) -> rt.Measurement:
-    return rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t30": t[np.newaxis]},
-        uncertainty={"t30": TIME * t[np.newaxis]},
-    )
-
-
 def calibrated(room: rt.Room, t: Array) -> rt.calibration.CalibrationResult:
-    return rt.calibrate(room, measured(t), "soft", EQUATION)
+    measured = rt.Measurement(
+        centre_frequencies=BANDS, values={"t30": t[None]}, uncertainty={"t30": TIME * t[None]}
+    )
+    return rt.calibrate(room, measured, "soft", EQUATION)
 
 
 def knowing(firm: Firm, rooms: int) -> rt.Room:
@@ -162,14 +157,11 @@ def misnamed(seed: int) -> dict[str, Any]:
     others = [m for m in firm.names if m not in room.materials]
     wrong = str(rng.choice(others))
     names, alpha, sigma = list(room.materials), room.alpha.copy(), room.sigma.copy()
-    names[i] = wrong
-    alpha[i] = firm.table[firm.names.index(wrong)]
-    sigma[i] = 0.3 * alpha[i]
+    j = firm.names.index(wrong)
+    names[i], alpha[i], sigma[i] = wrong, firm.table[j], 0.3 * firm.table[j]
     # What the wrong name changes in the absorption area of the room, rms over the bands.
     true = firm.rooms[r][1]
-    j = firm.names.index(wrong)
-    absorbed = room.areas @ true
-    change = float(np.sqrt(np.mean((room.areas[i] * (firm.true[j] - true[i]) / absorbed) ** 2)))
+    change = room.areas[i] * (firm.true[j] - true[i]) / (room.areas @ true)
     stated[r] = (room.replace(materials=names, alpha=alpha, sigma=sigma), t)
     archive = rt.learn([calibrated(each, time) for each, time in stated])
     first = archive.suspects[0] if archive.suspects else None
@@ -180,50 +172,53 @@ def misnamed(seed: int) -> dict[str, Any]:
         "its name": first is not None and first.instead == room.materials[i],
         "listed": hidden in [(s.room, s.material) for s in archive.suspects],
         "room has the least p": min(archive.lessons, key=lambda x: x.p_value).room == room.name,
-        "change of absorption": change,
+        "change of absorption": float(np.sqrt(np.mean(change**2))),
         "false suspects": sum((s.room, s.material) != hidden for s in archive.suspects),
     }
 
 
 def firms_table(rows: list[dict[str, Any]]) -> str:
-    def rms(key: str) -> float:
-        return float(np.sqrt(np.mean([row[key] ** 2 for row in rows])))
-
-    def ratios(key: str, other: str) -> Array:
-        return np.array([row[key] / row[other] for row in rows])
-
-    head = f"| firms: {len(rows)} | before T | calibrated | before T, spreads known | calibrated |"
-    lines = [head, "|---|---|---|---|---|"]
-    pairs = [
-        (f"{of}{when}", f"table{when}")
-        for of in ("archive", "knowing")
-        for when in ("", ", calibrated")
+    of = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+    rms = {key: np.sqrt(np.mean(values**2)) for key, values in of.items()}
+    lines: list[list[object]] = [
+        ["error of α, archive / table"],
+        ["the same, median of the firms"],
+        ["firms no worse than the table"],
     ]
-    cells = [f"{rms(a) / rms(b):.2f}" for a, b in pairs]
-    lines.append(f"| error of α, archive / table | {' | '.join(cells)} |")
-    cells = [f"{np.median(ratios(a, b)):.2f}" for a, b in pairs]
-    lines.append(f"| the same, median of the firms | {' | '.join(cells)} |")
-    cells = [f"{np.mean(ratios(a, b) <= 1):.2f}" for a, b in pairs]
-    lines.append(f"| firms no worse than the table | {' | '.join(cells)} |")
-    cells = [f"{np.mean([row[k] for row in rows]):.3f}" for k in ("coverage before T", "coverage")]
-    lines.append(f"| 90 % intervals hold | {' | '.join(cells)} | | |")
-    ratio = rms("archive, calibrated") / rms("table")
-    lines.append(f"| error of α, archive and T / table alone | | {ratio:.2f} | | |")
-    false = np.mean([row["false suspects"] for row in rows])
-    lines.append(f"| suspects per firm, none misnamed | {false:.2f} | | | |")
-    return "\n".join(lines)
+    for who, when in itertools.product(("archive", "knowing"), ("", ", calibrated")):
+        own, other = f"{who}{when}", f"table{when}"
+        ratio = of[own] / of[other]
+        cells = rms[own] / rms[other], np.median(ratio), np.mean(ratio <= 1)
+        for line, cell in zip(lines, cells, strict=True):
+            line.append(f"{cell:.2f}")
+    held = [f"{of[k].mean():.3f}" for k in ("coverage before T", "coverage")]
+    alone = f"{rms['archive, calibrated'] / rms['table']:.2f}"
+    return markdown(
+        (f"firms: {len(rows)}", "before T", "calibrated", "before T, spreads known", "calibrated"),
+        *lines,
+        ("90 % intervals hold", *held, "", ""),
+        ("error of α, archive and T / table alone", "", alone, "", ""),
+        ("suspects per firm, none misnamed", f"{of['false suspects'].mean():.2f}", "", "", ""),
+    )
+
+
+CHANGES = {
+    "0 to 0.1": (0, 0.1),
+    "0.1 to 0.2": (0.1, 0.2),
+    "0.2 to 0.3": (0.2, 0.3),
+    "0.3 and more": (0.3, np.inf),
+    "all": (0, np.inf),
+}
 
 
 def misnamed_table(rows: list[dict[str, Any]]) -> str:
     keys = ("found", "listed", "its name", "room has the least p", "false suspects")
-    head = f"| change of the room's absorption | firms | {' | '.join(keys)} |"
-    lines = [head, "|---" * (len(keys) + 2) + "|"]
-    for low, high in ((0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, np.inf), (0, np.inf)):
+    lines = []
+    for name, (low, high) in CHANGES.items():
         few = [r for r in rows if low <= r["change of absorption"] < high]
         cells = [f"{np.mean([r[k] for r in few]):.2f}" if few else "" for k in keys]
-        name = "all" if high - low == np.inf and not low else f"{low:g} to {high:g}"
-        lines.append(f"| {name.replace('to inf', 'and more')} | {len(few)} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((name, len(few), *cells))
+    return markdown(("change of the room's absorption", "firms", *keys), *lines)
 
 
 def main() -> None:
@@ -232,16 +227,13 @@ def main() -> None:
     parser.add_argument("--firms", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rooms", type=int, default=ROOMS)
-    parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     one, table = {
         "firms": (partial(judge, rooms=arguments.rooms), firms_table),
         "misnamed": (misnamed, misnamed_table),
     }[arguments.what]
-    rows = [one(seed) for seed in range(arguments.first, arguments.first + arguments.firms)]
-    print(table(rows))
-    if arguments.out:
-        arguments.out.write_text(json.dumps(rows, indent=1) + "\n")
+    seeds = range(arguments.first, arguments.first + arguments.firms)
+    print(table([one(seed) for seed in seeds]))
 
 
 if __name__ == "__main__":

@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -70,38 +71,28 @@ def draw(seed: int) -> Drawn:
     return Drawn(room, truth, measured, relative)
 
 
-def covered(drawn: Drawn, method: str) -> tuple[np.ndarray, bool]:
-    """Return which true coefficients the interval holds, and whether one stands at a bound."""
-    result = rt.calibrate(drawn.room, drawn.measured, method, unreachable="nearest")
-    low, high = (end[:, 0] for end in result.interval or ())
-    return (low <= drawn.truth) & (drawn.truth <= high), bool(result.active.any())
-
-
 def rows(n_rooms: int) -> Iterator[tuple[str, int, float, bool, float]]:
     """Yield method, number of materials, u_T / T, whether at a bound, and the share covered."""
     warnings.simplefilter("ignore")
     for seed in range(n_rooms):
         drawn = draw(seed)
         for method in METHODS:
-            held, at_bound = covered(drawn, method)
-            yield method, len(held), drawn.relative, at_bound, float(held.mean())
+            result = rt.calibrate(drawn.room, drawn.measured, method, unreachable="nearest")
+            low, high = (end[:, 0] for end in result.interval or ())
+            held = (low <= drawn.truth) & (drawn.truth <= high)
+            yield method, len(held), drawn.relative, bool(result.active.any()), float(held.mean())
 
 
 def table(n_rooms: int) -> str:
     """Return the shares of coefficients in their intervals, over all rooms and parts of them."""
     found = list(rows(n_rooms))
-    parts = {
-        "all": lambda row: True,
-        **{
-            f"{n} material{'s' * (n > 1)}": lambda row, n=n: row[1] == n for n in range(1, MOST + 1)
-        },
-        **{
-            f"u_T {100 * a:g} to {100 * b:g} %": lambda row, a=a, b=b: a <= row[2] < b
-            for a, b in RANGES
-        },
-        "no coefficient at a bound": lambda row: not row[3],
-        "one at a bound": lambda row: row[3],
-    }
+    parts: dict[str, Callable[[tuple[Any, ...]], bool]] = {"all": lambda row: True}
+    for n in range(1, MOST + 1):
+        parts[f"{n} material{'s' * (n > 1)}"] = lambda row, n=n: row[1] == n
+    for a, b in RANGES:
+        parts[f"u_T {100 * a:g} to {100 * b:g} %"] = lambda row, a=a, b=b: a <= row[2] < b
+    parts["no coefficient at a bound"] = lambda row: not row[3]
+    parts["one at a bound"] = lambda row: row[3]
     lines = [f"{'':28s}" + "".join(f"{m:>18s}" for m in METHODS)]
     for name, holds in parts.items():
         cells = []

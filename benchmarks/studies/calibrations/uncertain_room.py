@@ -1,6 +1,6 @@
 """Rooms whose volume and areas are not as stated: what a calibration gains, and whether it tells.
 
-    python -m benchmarks.studies.calibrations.uncertain_room [--rooms 1000] [--out FILE.json]
+    python -m benchmarks.studies.calibrations.uncertain_room [--rooms 1000]
 
 Six surfaces (the paper's shoebox) and six bands; sigma and mu are drawn as in the paper's study, alpha
 from its truncated normal, the true volume and areas about the stated ones. T follows Sabine's equation
@@ -10,13 +10,13 @@ in the true room. The score is 1 - the root of the mean squared error of alpha o
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 import rtcal as rt
+from benchmarks.studies.rates import markdown
 from rtcal.studies import paper
 from rtcal.studies.paper import SHOEBOX
 from rtcal.support.types import Array
@@ -24,26 +24,18 @@ from rtcal.support.types import Array
 AREAS, VOLUME = np.array(SHOEBOX), 105.0
 BANDS = (125, 250, 500, 1000, 2000, 4000)
 STATED = {"volume_sigma": 0.05, "area_sigma": 0.03}
+COMMON = {**STATED, "common_alpha_sigma": 0.1}
 EXACT = {"volume_sigma": 0.0, "area_sigma": 0.0}
 ALARM = 0.05
 
 # Name: sigma_R, what the room is off by, what is stated, handbook's true common factor.
 CASES: dict[str, tuple[float, dict[str, float], dict[str, float], float]] = {
-    "taken as exact, sigma_R 0.01": (0.01, STATED, EXACT, 0.0),
-    "taken as exact, sigma_R 0.05": (0.05, STATED, EXACT, 0.0),
-    "taken as exact, sigma_R 0.10": (0.10, STATED, EXACT, 0.0),
-    "stated, sigma_R 0.01": (0.01, STATED, STATED, 0.0),
-    "stated, sigma_R 0.05": (0.05, STATED, STATED, 0.0),
-    "stated, sigma_R 0.10": (0.10, STATED, STATED, 0.0),
+    **{f"taken as exact, sigma_R {s:.2f}": (s, STATED, EXACT, 0.0) for s in (0.01, 0.05, 0.1)},
+    **{f"stated, sigma_R {s:.2f}": (s, STATED, STATED, 0.0) for s in (0.01, 0.05, 0.1)},
     "stated twice as large": (0.05, STATED, {k: 2 * v for k, v in STATED.items()}, 0.0),
     "stated half as large": (0.05, STATED, {k: v / 2 for k, v in STATED.items()}, 0.0),
     "handbook off by 10 % together, not stated": (0.05, STATED, STATED, 0.1),
-    "handbook off by 10 % together, stated": (
-        0.05,
-        STATED,
-        {**STATED, "common_alpha_sigma": 0.1},
-        0.1,
-    ),
+    "handbook off by 10 % together, stated": (0.05, STATED, COMMON, 0.1),
     "exact room, nothing stated": (0.05, EXACT, EXACT, 0.0),
     "exact room, stated as uncertain": (0.05, EXACT, STATED, 0.0),
 }
@@ -86,8 +78,6 @@ def judge(name: str, rooms: int, seed: int = 1) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     before, after, inside, alarms = [], [], [], []
     # Draws of large sigma reach the bounds, where no p-value is given; Q has its quantile all the same.
-    from scipy.stats import chi2
-
     limit = chi2.ppf(1 - ALARM, len(BANDS))
     for _ in range(rooms):
         mu, sigma, alpha, t = drawn(rng, sigma_r, off, common)
@@ -112,24 +102,26 @@ def judge(name: str, rooms: int, seed: int = 1) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    head = "| rooms | score / % | ± | 90 % intervals hold | Q false alarms at 5 % |"
-    lines = [
-        f"| {r['case']} | {100 * r['score']:.1f} | {100 * r['standard_error']:.1f} | "
-        f"{r['coverage']:.3f} | {r['false_alarms']:.3f} |"
-        for r in rows
-    ]
-    return "\n".join([head, "|---|---|---|---|---|", *lines])
+    return markdown(
+        ("rooms", "score / %", "±", "90 % intervals hold", "Q false alarms at 5 %"),
+        *(
+            (
+                r["case"],
+                f"{100 * r['score']:.1f}",
+                f"{100 * r['standard_error']:.1f}",
+                f"{r['coverage']:.3f}",
+                f"{r['false_alarms']:.3f}",
+            )
+            for r in rows
+        ),
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rooms", type=int, default=1000)
-    parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
-    rows = [judge(name, arguments.rooms) for name in CASES]
-    print(table(rows))
-    if arguments.out:
-        arguments.out.write_text(json.dumps(rows, indent=1) + "\n")
+    rooms = parser.parse_args().rooms
+    print(table([judge(name, rooms) for name in CASES]))
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from benchmarks.studies.means.judging import (
     print_rates,
     row_of,
 )
-from benchmarks.studies.rates import rate, share
+from benchmarks.studies.rates import markdown, rate, share
 from benchmarks.studies.stored import Row
 from rtcal.finder import Case, verify
 from rtcal.finder.means.engines import ControlRooms
@@ -241,13 +241,11 @@ def report(rows: Sequence[Row]) -> str:
     """Return the table of README.md, in Markdown."""
     columns = [judged(rows, data, worlds) for worlds in ((1,), (2,), (3,)) for data in DATA]
     lines = [
-        "| | first world: times | all data | second: times | all data | third: times | all data |",
-        "|---|---|---|---|---|---|---|",
+        (label, *(in_words(list(hits(rooms))) for rooms in columns))
+        for label, hits in LINES.items()
     ]
-    for label, hits in LINES.items():
-        cells = [in_words(list(hits(rooms))) for rooms in columns]
-        lines.append("| " + " | ".join([label, *cells]) + " |")
-    return "\n".join(lines)
+    worlds = ("first world: times", "second: times", "third: times")
+    return markdown(["", *(word for world in worlds for word in (world, "all data"))], *lines)
 
 
 def in_words(hits: Sequence[bool]) -> str:
