@@ -14,7 +14,7 @@ import scipy.sparse as sp
 import rtcal as rt
 from benchmarks.solvers import truth
 from rtcal import terms
-from rtcal.acoustics.bands import third_octaves
+from rtcal.acoustics.bands import octaves, third_octaves
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem, measured_times
 from rtcal.calibration.unknowns import Configurations
@@ -22,8 +22,7 @@ from rtcal.studies.paper import SHOEBOX, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.support.types import Array
 from tests import problems
 
-OCTAVES = [63, 125, 250, 500, 1000, 2000, 4000, 8000]
-THIRDS = third_octaves(50, 10_000)
+OCTAVES, THIRDS = octaves(63, 8000), third_octaves(50, 10_000)
 RUNTIME = 2.0  # s allowed a solve, for the solvers that take a limit
 RANDOM = 10  # random rooms of each size in a full run
 COMPOSED = {
@@ -83,12 +82,8 @@ class Case(qpbenchmark.Problem):
         every = sp.csr_array(sp.vstack([rows, -one[bounded[0]], one[bounded[1]]]))
         limits = np.concatenate([qp.b, -low[bounded[0]], high[bounded[1]]])
         size = np.sqrt(np.asarray(every.power(2).sum(axis=1)).ravel())
-        unit = np.divide(1.0, size, out=np.ones_like(size), where=size > 0)
-        every, limits, n = (
-            sp.csr_matrix(sp.diags_array(unit) @ every),
-            unit * limits,
-            qp.equal.sum(),
-        )
+        unit = sp.diags_array(np.divide(1.0, size, out=np.ones_like(size), where=size > 0))
+        every, limits, n = sp.csr_matrix(unit @ every), unit @ limits, qp.equal.sum()
         super().__init__(
             sp.csc_matrix(quadratic.tocsr()[order]),
             qp.c[order],
@@ -129,14 +124,24 @@ def _single(
     sigma: Array | None = None,
 ) -> Case:
     lower = np.zeros(room.alpha.shape) if room.alpha_min is None else room.alpha_min
-    separable = Separable(
-        room.alpha,
-        room.sigma if sigma is None else sigma,
-        room.areas,
-        built.equation.target(room, np.asarray(times)),
-        lower,
+    target = built.equation.target(room, np.asarray(times))
+    given = room.alpha, room.sigma if sigma is None else sigma, room.areas, target, lower
+    return Case(name, family, built, times, room, Separable(*given))
+
+
+def _room(
+    mu: Array, sigma: Array, areas: Array, frequencies: Sequence[float], **more: Any
+) -> rt.Room:
+    n = len(areas)
+    return rt.Room(
+        name="random",
+        materials=[f"m{i}" for i in range(n)],
+        areas=areas,
+        alpha=np.reshape(mu, (n, -1)),
+        sigma=np.reshape(sigma, (n, -1)),
+        centre_frequencies=frequencies,
+        **more,
     )
-    return Case(name, family, built, times, room, separable)
 
 
 def room_of(
@@ -144,31 +149,11 @@ def room_of(
 ) -> tuple[rt.Room, Array]:
     """A random room and T of coefficients drawn from its prior."""
     shape = (n, len(frequencies))
-    room = rt.Room(
-        name="random",
-        volume=100.0 * n,
-        materials=[f"m{i}" for i in range(n)],
-        areas=rng.uniform(5, 60, n),
-        alpha=rng.uniform(0.02, 0.6, shape),
-        sigma=rng.uniform(0.01, 0.1, shape),
-        centre_frequencies=frequencies,
-        air=rt.Air(),
-    )
-    drawn = np.clip(room.alpha + room.sigma * rng.standard_normal(shape), 0.01, 0.99)
-    return room, rt.Eyring().time(room, room.areas @ drawn)
-
-
-def _one_band(mu: Array, sigma: Array, areas: Array, lower: Array | None = None) -> rt.Room:
-    return rt.Room(
-        name="one band",
-        volume=200.0,
-        materials=[f"m{i}" for i in range(len(mu))],
-        areas=areas,
-        alpha=np.reshape(mu, (-1, 1)),
-        sigma=np.reshape(sigma, (-1, 1)),
-        centre_frequencies=[1000],
-        alpha_min=None if lower is None else np.reshape(lower, (-1, 1)),
-    )
+    areas, mu = rng.uniform(5, 60, n), rng.uniform(0.02, 0.6, shape)
+    sigma = rng.uniform(0.01, 0.1, shape)
+    room = _room(mu, sigma, areas, frequencies, volume=100.0 * n, air=rt.Air())
+    drawn = np.clip(mu + sigma * rng.standard_normal(shape), 0.01, 0.99)
+    return room, rt.Eyring().time(room, areas @ drawn)
 
 
 def _hard(kind: str, n: int, rng: np.random.Generator) -> tuple[rt.Room, Array]:
@@ -177,11 +162,11 @@ def _hard(kind: str, n: int, rng: np.random.Generator) -> tuple[rt.Room, Array]:
     target, lower = drawn.target, None
     if kind in ("at an end", "beyond an end"):
         # A positive least alpha, so that the low end has a T too.
-        lower = 0.3 * drawn.mu
-        low, high = float(drawn.areas @ lower), float(drawn.areas.sum())
+        lower = 0.3 * np.reshape(drawn.mu, (-1, 1))
+        low, high = float(drawn.areas @ lower[:, 0]), float(drawn.areas.sum())
         beyond = 10 ** rng.uniform(-6, -0.5) if kind == "beyond an end" else 0.0
         target = high * (1 + beyond) if rng.integers(2) else low * (1 - beyond)
-    room = _one_band(drawn.mu, drawn.sigma, drawn.areas, lower)
+    room = _room(drawn.mu, drawn.sigma, drawn.areas, [1000], volume=200.0, alpha_min=lower)
     return room, rt.Sabine().time(room, np.array([target]))
 
 
@@ -192,17 +177,9 @@ class Rooms(qpbenchmark.TestSet):
         self.size, self.seed = size, seed
         super().__init__()
 
-    @property
-    def description(self) -> str:
-        return "Calibrations of room-acoustic models, with exact answers."
-
-    @property
-    def sparse_only(self) -> bool:
-        return False
-
-    @property
-    def title(self) -> str:
-        return "rtcal rooms"
+    description = property(lambda self: "Calibrations of room-acoustic models, with exact answers.")
+    sparse_only = property(lambda self: False)
+    title = property(lambda self: "rtcal rooms")
 
     def define_tolerances(self, runtime: float = RUNTIME) -> None:
         super().define_tolerances(runtime)
@@ -210,11 +187,8 @@ class Rooms(qpbenchmark.TestSet):
     def __iter__(self) -> Iterator[Case]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rt.errors.MissingAirWarning)
-            yield from self._real()
-            yield from self._paper()
-            yield from self._random()
-            yield from self._hard()
-            yield from self._composed()
+            for family in (self._real, self._paper, self._random, self._hard, self._composed):
+                yield from family()
             if self.size != "tiny":
                 yield from self._sizes()
 
@@ -223,19 +197,19 @@ class Rooms(qpbenchmark.TestSet):
         for method in ("mle", "lse"):
             built = preset(method).build(room)
             # As rtcal places T in the room's bands: where there is none, the prior stays.
-            times = _times(built, measured, room)
+            times = np.array(built.solve(measured).joint.measured_times[0].reverberation_time)
             sigma = np.where(room.sigma > 0, 1.0, 0.0) if method == "lse" else None
             yield _single(f"CR2 {method}", "real", built, room, times, sigma)
 
     def _paper(self) -> Iterator[Case]:
         # Two walls of 47 m² as in Figs. 1 and 3, and Table 1's shoebox.
-        rows = [
-            ("Fig 1", (0.6, 0.5), (0.1, 0.1), (47.0, 47.0)),
-            ("Fig 3", (0.6, 0.5), (0.05, 0.1), (47.0, 47.0)),
+        walls = (47.0, 47.0)
+        for name, mu, sigma, areas in (
+            ("Fig 1", (0.6, 0.5), (0.1, 0.1), walls),
+            ("Fig 3", (0.6, 0.5), (0.05, 0.1), walls),
             ("Table 1", TABLE_1_MU, TABLE_1_SIGMA, tuple(float(s) for s in SHOEBOX)),
-        ]
-        for name, mu, sigma, areas in rows:
-            room = _one_band(np.array(mu), np.array(sigma), np.array(areas))
+        ):
+            room = _room(np.array(mu), np.array(sigma), np.array(areas), [1000], volume=200.0)
             built = preset("mle").build(room, rt.Sabine())
             for share in (0.1, 0.4, 0.8):
                 times = rt.Sabine().time(room, np.array([share * sum(areas)]))
@@ -264,40 +238,29 @@ class Rooms(qpbenchmark.TestSet):
                     yield _single(f"{kind} {n} no {i}", family, built, room, times)
 
     def _composed(self) -> Iterator[Case]:
-        sizes = {"tiny": (6,), "short": (6, 23), "full": (6, 23, 40)}[self.size]
-        for n in sizes:
-            for name, make in COMPOSED.items():
-                rng = np.random.default_rng([self.seed, n, 2])
-                room, times = room_of(n, OCTAVES, rng)
-                built = make().build(room)
-                yield Case(f"{name} {n} x 8", "composed", built, times, room, None)
+        for n in {"tiny": (6,), "short": (6, 23), "full": (6, 23, 40)}[self.size]:
+            for name in COMPOSED:  # each in a room of its own
+                room, times = room_of(n, OCTAVES, np.random.default_rng([self.seed, n, 2]))
+                yield self._of(name, n, room, times, "composed")
             yield self._two(n, OCTAVES, "composed")
 
-    def _two(self, n: int, bands: list[int], family: str) -> Case:
+    def _of(self, name: str, n: int, room: rt.Room, times: Array, family: str) -> Case:
+        built = COMPOSED[name]().build(room)
+        return Case(f"{name} {n} x {room.n_bands}", family, built, times, room, None)
+
+    def _two(self, n: int, bands: Sequence[float], family: str) -> Case:
         rng = np.random.default_rng([self.seed, n, 3])
         room, times = room_of(n, bands, rng)
         other = room.replace(areas=room.areas * rng.uniform(0.5, 1.5, n))
         pair = Configurations([room, other])
         seen = rt.Eyring().time(other, other.areas @ np.clip(room.alpha * 1.02, 0.01, 0.99))
-        return Case(
-            f"two configurations {n} x {len(bands)}",
-            family,
-            preset("joint").build(pair),
-            [times, seen],
-            pair,
-            None,
-        )
+        name = f"two configurations {n} x {len(bands)}"
+        return Case(name, family, preset("joint").build(pair), [times, seen], pair, None)
 
     def _sizes(self) -> Iterator[Case]:
         for n in (5, 20) if self.size == "short" else (5, 10, 20, 40, 80, 208):
-            rng = np.random.default_rng([self.seed, n, 4])
-            room, times = room_of(n, THIRDS, rng)
+            room, times = room_of(n, THIRDS, np.random.default_rng([self.seed, n, 4]))
             yield _single(f"mle {n} x 24", "sizes", preset("mle").build(room), room, times)
-            for name, make in COMPOSED.items():
-                built = make().build(room)
-                yield Case(f"{name} {n} x 24", "sizes", built, times, room, None)
+            for name in COMPOSED:
+                yield self._of(name, n, room, times, "sizes")
             yield self._two(n, THIRDS, "sizes")
-
-
-def _times(built: CalibrationProblem[Any], measured: rt.Measurement, room: rt.Room) -> Array:
-    return np.array(built.solve(measured).joint.measured_times[0].reverberation_time)

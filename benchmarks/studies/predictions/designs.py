@@ -1,7 +1,6 @@
 """Designs beside exhaustive search: the numbers of benchmarks/studies/predictions/README.md.
 
-    python -m benchmarks.studies.predictions.designs exhaustive --rooms 40
-    python -m benchmarks.studies.predictions.designs time
+    python -m benchmarks.studies.predictions.designs --rooms 40
 
 A problem is a room of 20 to 1000 m³ with a measured T, two or three treatments (most of them whole
 panels, some of them free-standing) and a range of T, or a largest T alone. Every number of whole panels
@@ -36,12 +35,8 @@ def problem(
     rng = np.random.default_rng([stream, index])
     volume = float(np.exp(rng.uniform(np.log(20), np.log(1000))))
     x, y, z = volume ** (1 / 3) * np.array([1.5, 1.15, 0.58])
-    areas = {
-        "floor": x * y,
-        "ceiling": x * y,
-        "walls": 1.4 * (x + y) * z,
-        "windows": 0.6 * (x + y) * z,
-    }
+    areas = {"floor": x * y, "ceiling": x * y}
+    areas |= {"walls": 1.4 * (x + y) * z, "windows": 0.6 * (x + y) * z}
     level = np.exp(rng.uniform(np.log(0.03), np.log(0.2), (4, 1)))
     slope = rng.uniform(-0.2, 0.3, (4, 1))
     alpha = np.clip(level * np.exp(slope * np.log2(BANDS / 1000)), 0.01, 0.5)
@@ -127,9 +122,10 @@ def _filled(model: DesignModel, x: Array, most: float) -> Iterator[Array]:
 
 def judged(rooms: int, stream: int) -> None:
     """Print how designs compare with exhaustive search."""
-    ratios, lacking, none, falsely, parts = [], [], 0, 0, 0
+    ratios, lacking, seconds, none, falsely, parts = [], [], [], 0, 0, 0
     for index in range(rooms):
         result, treatments, target, p = problem(index, stream)
+        began = time.process_time()
         try:
             found = rt.design(result, treatments, target, p)
         except rt.errors.InfeasibleError:
@@ -137,6 +133,7 @@ def judged(rooms: int, stream: int) -> None:
             model = design_model(result, treatments, target)
             falsely += exhaustive(model, p)[1] is not None
             continue
+        seconds.append(time.process_time() - began)
         turned = rt.design(result, treatments[::-1], target, p)
         if not np.allclose(turned.areas[::-1], found.areas, atol=1e-9):
             print(f"room {index}: {found.areas}, in another order {turned.areas[::-1]}")
@@ -151,36 +148,17 @@ def judged(rooms: int, stream: int) -> None:
     print(f"{rooms} rooms: {len(ratios)} with a design, {none} without, {falsely} of these falsely")
     print(f"parts of panels {parts}; probability less the promised at least {min(lacking):+.5f}")
     print(
-        f"cost over that of exhaustive search: {np.median(ratios):.4f}, at most {max(ratios):.4f}"
-    )
-
-
-def times() -> None:
-    """Print the processor time of a design."""
-    seconds = []
-    for index in range(10):
-        result, treatments, target, p = problem(index)
-        start = time.process_time()
-        try:
-            rt.design(result, treatments, target, p)
-        except rt.errors.InfeasibleError:
-            continue
-        seconds.append(time.process_time() - start)
-    print(
+        f"cost over that of exhaustive search: {np.median(ratios):.4f}, at most {max(ratios):.4f}; "
         f"a design takes {np.median(seconds):.2f} s of processor time, at most {max(seconds):.2f}"
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=("exhaustive", "time"))
     parser.add_argument("--rooms", type=int, default=40)
     parser.add_argument("--stream", type=int, default=57)
     stated = parser.parse_args()
-    if stated.part == "exhaustive":
-        judged(stated.rooms, stated.stream)
-    else:
-        times()
+    judged(stated.rooms, stated.stream)
 
 
 if __name__ == "__main__":
