@@ -9,7 +9,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.changes import read_variants
-from rtcal.command.main import main
 from rtcal.prediction import Assumptions, Change, changed, predict
 from rtcal.prediction.predicted import Prediction
 from rtcal.support.errors import DataError, ModelError
@@ -558,7 +557,7 @@ def test_a_band_without_a_run_is_the_equations() -> None:
         predict(room, change, run=run, run_after=after)
 
 
-def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, capsys) -> None:
+def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, rtcal) -> None:
     room = a_room(2)
     before = measured_in(room, 2).reverberation_time
     room.save(str(tmp_path / "room.toml"))
@@ -570,20 +569,15 @@ def test_the_command_takes_what_a_program_gave_of_each_variant(tmp_path, capsys)
         variants += f'[[variant]]\nname = "{name}"\n{of}[[variant.change]]\n'
         variants += 'cover = "ceiling"\nby = "panel"\narea = 10\n'
     (tmp_path / "variants.toml").write_text(variants)
-    files = [str(tmp_path / n) for n in ("room.toml", "t.csv", "variants.toml", "run.csv")]
-    command = ["predict", *files[:2], "--change", files[2]]
-
-    def called(*more: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main([*command, *more])
-        return (ended.value.code or 0, *capsys.readouterr())
-
-    code, text, _ = called("--simulated", files[3], "--out", str(tmp_path / "out"))
-    assert code == 0
+    room, t, change, run = (
+        tmp_path / name for name in ("room.toml", "t.csv", "variants.toml", "run.csv")
+    )
+    command = ("predict", room, t, "--change", change)
+    text = rtcal(*command, "--simulated", run, "--out", tmp_path / "out")
     assert text.count("The change is the program's") == 1
-    assert "Add it with --simulated" in " ".join(called()[2].split())
+    assert "Add it with --simulated" in rtcal.refused(*command)
     first, second = rt.load(tmp_path / "out").predictions
     np.testing.assert_allclose(first.mean, 0.6 * before, rtol=2e-3)  # of a file's digits
     assert second.simulated is None
     (tmp_path / "variants.toml").write_text(variants.replace('simulated = "after.csv"\n', ""))
-    assert "no variant has simulated" in " ".join(called("--simulated", files[3])[2].split())
+    assert "no variant has simulated" in rtcal.refused(*command, "--simulated", run)

@@ -7,7 +7,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.observables import OBSERVABLES
-from rtcal.command.main import main
 from rtcal.report import pages
 from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError, OtherBandsWarning
@@ -233,28 +232,22 @@ def test_without_a_run_the_equation_is_compared() -> None:
     assert found.sentence == "Sabine's T20 is 33 % too short in all bands."
 
 
-def test_the_command_writes_page_and_numbers(tmp_path, capsys) -> None:
+def test_the_command_writes_page_and_numbers(tmp_path, rtcal) -> None:
     room, measured, run = (str(tmp_path / n) for n in ("room.toml", "m.csv", "run.csv"))
     box().save(room)
     rt.Measurement.from_values(F, t20=[1.0, 1.0]).save(measured)
     rt.Measurement.from_values(F, t20=[1.3, 1.0]).save(run)
-
-    def called(*more: str) -> tuple[int, str, str]:
-        with pytest.raises(SystemExit) as ended:
-            main(["compare", room, measured, *more])
-        return (ended.value.code or 0, *capsys.readouterr())
-
-    out = tmp_path / "gap"
-    code, text, _ = called("--simulated", run, "--out", str(out))
-    assert (code, text.split("\n")[0]) == (0, "The program's T20 is 30 % too long at 500 Hz.")
+    out, command = tmp_path / "gap", ("compare", room, measured)
+    text = rtcal(*command, "--simulated", run, "--out", out)
+    assert text.startswith("The program's T20 is 30 % too long at 500 Hz.")
     found = rt.load(out)
     assert found.sentence in text
     assert "disagree" in (out / "report.html").read_text("utf-8")
     assert pages.page(found) == (out / "report.html").read_text("utf-8")
     other = str(tmp_path / "other.toml")
     box(volume=130).save(other)
-    assert "Add it with --simulated" in called("--at", other)[2]
-    assert "volume = 130" in called("--simulated", run, "--at", other)[2]
+    assert "Add it with --simulated" in rtcal.refused(*command, "--at", other)
+    assert "volume = 130" in rtcal.refused(*command, "--simulated", run, "--at", other)
 
 
 @pytest.mark.parametrize("equation", [rt.Millington(), rt.Kuttruff()])
