@@ -151,14 +151,15 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
     group : {"A1", "A2", "A3", "A4", "A5"}
         Use of the room, in this order: music, lectures, teaching, inclusive teaching, sports.
     volume : float
-        Volume V of the room in m³, for example 30 to 5000 m³ for A3.
+        Volume V of the room in m³: 30 to 1000 for A1, 50 to 5000 for A2, 30 to 5000 for A3, 30 to 500
+        for A4, and 200 to 10,000 for A5.
     centre_frequencies : sequence (n_bands,)
         Centre frequencies in Hz.
 
     Raises
     ------
     DataError
-        For any other group, or a volume for which the standard gives no T.
+        For any other group, and for a volume outside its range.
 
     Examples
     --------
@@ -181,10 +182,12 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
 
 
 def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
-    """Return the longest T that ANSI/ASA S12.60 allows in a classroom: 0.6 s, or 0.7 s above 283 m³.
+    """Return the range of T that ANSI/ASA S12.60 allows in a classroom: at most 0.6 or 0.7 s.
 
-    The limit applies from 500 to 2000 Hz; it is NaN in other bands. ``volume`` is in m³,
-    ``centre_frequencies`` in Hz. Raises DataError above 566 m³, where the standard states no T.
+    The upper limit is 0.6 s up to a volume of 283 m³, and 0.7 s above it. It applies to the octaves
+    500, 1000 and 2000 Hz, and is NaN in other bands; there is no lower limit. ``volume`` is in m³,
+    and ``centre_frequencies`` (n_bands,) are in Hz. Raises DataError above 566 m³, where the
+    standard states no T.
 
     Examples
     --------

@@ -33,8 +33,7 @@ from rtcal.support.types import Array
 class Assumptions:
     """Assumed uncertainties of a prediction of T after a change of the room.
 
-    All are from 0 to 1. Without an argument they have the usual values, which were chosen on simulated
-    and measured rooms.
+    All are numbers from 0 to 1. Their defaults are the usual values.
 
     Parameters
     ----------
@@ -74,7 +73,7 @@ class Assumptions:
     Raises
     ------
     DataError
-        If a value is below 0 or above 1.
+        If a value is below 0 or above 1, or band_correlation is 1.
 
     Examples
     --------

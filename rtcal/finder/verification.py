@@ -342,8 +342,9 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     """Check whether the effect that was found improves the model at data that were held out.
 
     The model without and with the effect is calibrated to a part of the data. The effect is supported
-    if the model with it deviates less from the other, held-out part. Which options apply depends on
-    the data that `rtcal.find` compared with the model.
+    if the model with it deviates less from the other, held-out part. Which arguments apply depends on
+    the data that `rtcal.find` compared with the model: means over positions, values at positions, or
+    two measurements of the room.
 
     Parameters
     ----------

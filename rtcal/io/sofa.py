@@ -206,7 +206,7 @@ def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
 def read(path: str | os.PathLike[str]) -> Responses:
     """Return the impulse responses in a SOFA file (AES69), with their sources and receivers.
 
-    The result has the samples, the sampling rate, the pairs, and the positions in m.
+    The `Responses` have the samples, the sampling rate, the pairs, and the positions in m.
 
     Raises
     ------

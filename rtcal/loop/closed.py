@@ -532,11 +532,12 @@ class Loop(Result):
     def status(self) -> tuple[str, ...]:
         """Status of each band, (n_bands,): one of `STATUSES`, such as "converged".
 
-        "converged": the deviation of the best step is within `goal`. "unreachable": T does not depend
-        on alpha, or the target has reached the end of what the equation can give. "not converging": the
-        band needs another simulation. "not confirmed": the band converged, but in the simulation
-        `final` the noise is above the tolerance, or the deviation above the tolerance plus the noise.
-        "by modes", "too few modes": the band is below the Schroeder frequency (``low``).
+        "converged": the deviation of the best step is within `goal`. "unreachable": no other target
+        brings T nearer, for example because the equation can give no longer one. "not converging":
+        the band needs another simulation. "not confirmed": the band converged, but in the
+        simulation `final` the noise is above the tolerance, or the deviation above the tolerance
+        plus the noise. "by modes", "too few modes": the band is below the Schroeder frequency
+        (``low``).
         """
         status = self._status_of_steps
         if self.final is None:
@@ -620,7 +621,7 @@ class Loop(Result):
     def _marks_of(self, outcome: CalibrationResult) -> tuple[TrustMark, ...]:
         return (
             *self.doubts,
-            *(self.unit_of(self.steps[0], None) if self.steps else ()),
+            *(self._unit_of(self.steps[0], None) if self.steps else ()),
             *(m for m in outcome.trust_marks if m.kind in ("at_bound", "implausible")),
             *self.bent,
             *(self.low.loop_marks if self.low else ()),
@@ -633,16 +634,17 @@ class Loop(Result):
             return own
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
-    def unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
+    def _unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
         """Return a list with a caution if a step's simulated T is off by a power of ten (wrong unit).
 
-        The list is empty otherwise. The expected T is the simulated T of the step before, ``last``,
-        times the ratio by which the equation's T changed. If ``last`` is None, it is the equation's T.
+        The list is empty otherwise. The T that is expected for ``step`` is the simulated T of the step
+        before, ``last``, times the ratio by which the equation's T changed. If ``last`` is None, it is
+        the equation's T.
         """
         of = "the one that the coefficients give by the equation"
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
-    def follows(self, step: Step, last: Step) -> bool:
+    def _follows(self, step: Step, last: Step) -> bool:
         """Return whether the simulated T changed from ``last`` to ``step`` as the equation's T does.
 
         The change of the simulated ln T must be at least a tenth of the change of the equation's ln T,
@@ -699,10 +701,10 @@ class Loop(Result):
 
         Bands that need no other simulation keep the coefficients of their best step.
         """
-        alpha = self.rounded(self.calibrated(self.next_target).alpha)
+        alpha = self._rounded(self.calibrated(self.next_target).alpha)
         return np.where(self._moving, alpha, self.best_alpha) if self.steps else alpha
 
-    def rounded(self, alpha: Array) -> Array:
+    def _rounded(self, alpha: Array) -> Array:
         """Return coefficients (n_materials, n_bands) rounded to the loop's number of ``decimals``.
 
         A coefficient that would fall below the room's ``alpha_min`` is rounded up. Without ``decimals``
@@ -1262,7 +1264,7 @@ class _Calls:
         """
         if self.left < 2:
             return None
-        alpha = loop.rounded(loop.prior.alpha)
+        alpha = loop._rounded(loop.prior.alpha)
         try:
             return loop.record(alpha, self.simulate(alpha, seed), stated=True)
         except RtcalError as error:
@@ -1292,7 +1294,7 @@ class _Calls:
         with_t20 = alpha.copy()
         for k in without_t20:
             steps = [step for step in loop.steps if np.isfinite(step.simulated[k])]
-            known = steps[-1].alpha if steps else loop.rounded(loop.prior.alpha)
+            known = steps[-1].alpha if steps else loop._rounded(loop.prior.alpha)
             with_t20[:, k] = known[:, k]
         return loop.record(alpha, self.simulate(with_t20, seed), without_t20)
 
@@ -1355,7 +1357,7 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
         if np.array_equal(step.simulated, earlier.simulated, equal_nan=True)
         and not np.array_equal(step.alpha, earlier.alpha)
     ]
-    if marks := loop.unit_of(step, last):
+    if marks := loop._unit_of(step, last):
         doubt = marks[0].sentence
     elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
         doubt = (
@@ -1370,7 +1372,7 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
             "since. Probably an older room was simulated: simulate the one that `rtcal "
             "loop` wrote last"
         )
-    elif last is not None and not loop.follows(step, last):
+    elif last is not None and not loop._follows(step, last):
         doubt = (
             "T is about the same as in the last run, although the coefficients have "
             "changed since. Check that the program used the room that `rtcal loop` wrote "

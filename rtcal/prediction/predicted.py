@@ -449,8 +449,8 @@ def predict(
     name : str
         Name of the change in printed text; by default the names of its materials.
     run : Run, optional
-        Room before the change as a simulation program had it, with the program's values. Its ratio of T
-        after to T before then replaces that of the equation, and multiplies the measured T.
+        Room before the change as a simulation program had it, with the program's values. The program's
+        ratio of T after to T before then replaces that of the equation, and multiplies the measured T.
     run_after : Measurement, optional
         Values of the same program after the change; needed with ``run``.
 
@@ -634,6 +634,11 @@ def predict_variants(
     run : Run, optional
         Values of a simulation program before the changes. Variants that have ``simulated`` values are
         then predicted with the program's ratio of T, all others with the equation.
+
+    Returns
+    -------
+    Predictions
+        The ``predictions``, one for each variant, and the ``costs``.
 
     Raises
     ------

@@ -210,7 +210,7 @@ def reverberation_time(result: CalibrationResult) -> Any:
 def gap(result: CalibrationResult) -> Any:
     """Return the figure of modelled minus measured T in JND, before and after calibration.
 
-    The figure is a matplotlib Figure, with a number of JND per band.
+    The figure, a matplotlib Figure, has a bar for each band before and a dot after calibration.
     """
     figure, axes = new_figure(7.0, 3.2)
     f = result.prior.centre_frequencies

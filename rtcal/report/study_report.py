@@ -36,10 +36,11 @@ NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
-    """Return the figure of the probability densities of input coefficients, as Fig. 2 of the paper.
+    """Return the figure of the probability densities of input coefficients.
 
-    The densities are normal, truncated at 0 and 1 (Bellows & Katz 2025). ``mu`` and ``sigma`` are their
-    parameters, one per material, and ``title`` is the title of the figure, a matplotlib Figure.
+    The densities are normal, truncated at 0 and 1, as in Figs. 2 and 4a of Bellows & Katz (2025).
+    ``mu`` and ``sigma`` are their parameters, one per material, and ``title`` is the title of the
+    figure, a matplotlib Figure.
     """
     from scipy.stats import truncnorm
 
@@ -66,9 +67,10 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
 
 
 def spread(table: Scores, aace: Sequence[float], title: str) -> Any:
-    """Return the box plot of the error of alpha over random rooms, for each method, as Fig. 4b.
+    """Return the box plot of the error of alpha over random rooms, for each calibration method.
 
-    The error is the root of the expected mean square error (EMSE), as in Bellows & Katz (2025).
+    The error is the root of the expected mean square error (EMSE), as in Fig. 4b of Bellows & Katz
+    (2025).
     ``table`` comes from `Study.spread`. ``aace`` has the average coefficient error (AACE) of each row
     of the table, which is drawn as a dashed line. ``title`` is the title of the matplotlib Figure.
     """

@@ -41,7 +41,7 @@ class External(RoomSimulator):
         Function ``run(alpha, seed)`` that returns a `Measurement` in the room's bands, or T20 in s,
         (n_bands,). ``alpha`` are the coefficients, (n_materials, n_bands), read-only.
     name : str
-        Name of the program, to which calibrated coefficients belong.
+        Name of the program; calibrated coefficients are valid only for it.
     deterministic : bool
         Whether the result does not depend on the seed.
 

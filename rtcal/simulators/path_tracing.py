@@ -115,7 +115,7 @@ class Tracer(RoomSimulator, ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the simulator with its settings, to which calibrated coefficients belong."""
+        """Name of the simulator with the settings that change T; coefficients are valid only for it."""
 
     @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -1054,7 +1054,7 @@ class PathTracing(Tracer):
 
     @property
     def name(self) -> str:
-        """Name of the simulator with its settings, to which calibrated coefficients belong."""
+        """Name of the simulator with the settings that change T; coefficients are valid only for it."""
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
 
     @property
@@ -1213,7 +1213,8 @@ class PathTracing(Tracer):
 
         Bands of one group have the same scattering, and so the same paths. ``sweep`` is called with the
         paths of a group, traced for ``seconds`` s or longer, and the numbers of its bands, from 0. It
-        must return their decays, (..., n_bands of the group, n_bins).
+        must return their decays, (..., n_bands of the group, n_bins). ``seed`` is that of the random
+        numbers.
         """
         groups = self.bands_of_paths
         decays = [sweep(self.traced(int(b[0]), seconds, seed=seed), b) for b in groups]

@@ -88,7 +88,7 @@ class RayTracing(Tracer):
 
     @property
     def name(self) -> str:
-        """Name of the simulator with its settings, to which calibrated coefficients belong."""
+        """Name of the simulator with the settings that change T; coefficients are valid only for it."""
         return f"pyroomacoustics' ray tracing of {self.room.name}"
 
     def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:

@@ -110,7 +110,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """Name of the simulator with its settings, to which calibrated coefficients belong."""
+        """Name of the simulator with the settings that change T; coefficients are valid only for it."""
 
     @property
     def tracing(self) -> PathTracing:
@@ -228,7 +228,8 @@ class ImageSource(ShoeboxSimulator):
     Raises
     ------
     DataError
-        As `ShoeboxSimulator`, and if a pair needs over 50 million images.
+        If the room is no shoebox, an area differs from that of the walls by over 1 %, a position is
+        outside the room or at another one, or a pair needs over 50 million images.
 
     References
     ----------
@@ -437,8 +438,11 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     Parameters
     ----------
-    room, sources, receivers
-        Room and positions as for `ShoeboxSimulator`.
+    room : Room
+        Room with dimensions, and with one material or a surface for each of its six walls
+        (`ShoeboxSimulator` has the rules).
+    sources, receivers : mapping of str to (x, y, z)
+        Positions in m, inside the room.
     sampling_rate : float
         Sampling rate in Hz. Delays are whole samples, so that the mean free path 4V/S must have at
         least 10 samples.
@@ -450,7 +454,8 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
     Raises
     ------
     DataError
-        As `ShoeboxSimulator`, and if the sampling rate is too low.
+        If the room is no shoebox, an area differs from that of the walls by over 1 %, a position is
+        outside the room or at another one, or the sampling rate is too low.
 
     References
     ----------
@@ -491,7 +496,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     @property
     def name(self) -> str:
-        """Name of the simulator with its settings, to which calibrated coefficients belong."""
+        """Name of the simulator with the settings that change T; coefficients are valid only for it."""
         return f"scattering delay network ({self.sampling_rate:g} Hz)"
 
     @property
@@ -504,7 +509,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
         ``alpha`` (n_materials, n_bands) are the coefficients. ``duration`` is in s, at most
         ``longest``. The response of a band is that of walls with the band's coefficients, and is not
-        filtered.
+        filtered. Raises DataError for a longer ``duration``.
         """
         alpha = check_alpha(self, alpha)
         if checks.positive("duration", duration, "s") > self.longest:
@@ -519,7 +524,12 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         return out
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
-        """Return energy decays long enough for T20, or of ``longest``, and their bin width in s."""
+        """Return energy decays for coefficients ``alpha``, and the width of their time bins in s.
+
+        The decays are (n_pairs, n_bands, n_bins) in 1/m² for a source of unit energy, from the
+        direct sound on, with one bin per sample. They are long enough for T20, but not longer than
+        ``longest``. ``alpha`` is (n_materials, n_bands).
+        """
         # T20 needs two thirds of Eyring's T in the most reverberant band, after the first delay.
         delays = [network.direct_delay for network in self.networks]
         t = Eyring().time(self.room, self.room.areas @ check_alpha(self, alpha)).max()

@@ -59,11 +59,11 @@ class TooShortError(DataError):
 
 
 class ModelError(RtcalError):
-    """Report a model that cannot be calibrated with its terms and constraints."""
+    """Report a model that cannot be calculated or calibrated: its terms, constraints or equation."""
 
 
 class InfeasibleError(RtcalError):
-    """Report that no absorption coefficients within the bounds give the measured T."""
+    """Report that no coefficients within the bounds give the measured T, or no design the target."""
 
 
 class SolverError(RtcalError):
