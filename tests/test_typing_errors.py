@@ -53,7 +53,9 @@ def test_what_rooms_do_is_no_typing_error() -> None:
     booth = np.array([0.55, 0.2, 0.15, 0.13, 0.12, 0.12])
     assert not far_from_neighbours(church).any()
     assert not far_from_neighbours(booth).any()
-    assert not far_from_neighbours(np.array([1.9, 0.05])).any()  # which of the two is open
+    assert not far_from_neighbours(np.array([1.9, 0.4])).any()
+    assert far_from_neighbours(np.array([1.9, 0.05])).all()  # which of the two is open
+    assert not far_from_neighbours(np.array([1.9, 0.05]), late=False).any()
     assert not far_from_neighbours(np.array([0.5, 0.5, 6.0, 6.0])).any()
     some = np.array([np.nan, 1.9, np.nan, 0.05, np.nan, 1.6])
     assert np.flatnonzero(far_from_neighbours(some)).tolist() == [3]

@@ -369,7 +369,8 @@ def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_
     below 4 (T20 and T30) or 10 (other quantities); otherwise it begins a new group. All values outside
     the largest group are far off, but none is if two groups are equally large. Values before or after
     all of the largest group are far off only for T20 and T30, and only if all of them differ from its
-    nearest value by a factor above 6.
+    nearest value by a factor above 6. Of two values alone, T20 or T30, both are far off if they differ
+    by such a factor, because nothing shows which is right.
     """
     found = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore"):
@@ -381,6 +382,9 @@ def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_
         near = [g for g, latest in enumerate(last) if abs(value - latest) < far]
         group[i] = min(near, key=lambda g: abs(value - last[g])) if near else len(last)
         last[group[i] : group[i] + 1] = [value]
+    if len(level) == 2 and late:
+        found[places] = np.ptp(level) > np.log(FAR_AT_END)
+        return found
     sizes = np.bincount(group)
     if len(sizes) < 2 or np.count_nonzero(sizes == sizes.max()) > 1:
         return found
@@ -408,9 +412,10 @@ def of_row(
     'T20 = 19.4 s, beside 1.9 s at 500 Hz and 1.6 s at 2000 Hz'
     """
     wrong = far_from_neighbours(values, late=late)
-    right = np.flatnonzero(np.isfinite(values) & ~wrong)
+    given = np.isfinite(values)
     out = []
     for k in np.flatnonzero(wrong):
+        right = np.flatnonzero(given & ~wrong if (given & ~wrong).any() else given)
         near = [*right[right < k][-1:], *right[right > k][:1]]
         beside = [f"{values[j]:.3g}{unit} at {bands.label(frequencies[j])}" for j in near]
         text = f"{name} = {values[k]:.3g}{unit}, beside {' and '.join(beside)}"

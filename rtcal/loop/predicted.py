@@ -235,7 +235,8 @@ class PositionsPrediction(Result):
         return words.blocks_of(
             [
                 f"{self.before.name}, {self.name}: {said}",
-                f"The values are means over {len(self.pairs)} pairs, simulated by {self.simulator}.",
+                f"The values are means over {len(self.pairs)} pairs, simulated by {self.simulator}. "
+                "Those before the change are estimated from this simulation and the measurement.",
             ],
             labels,
             rows,
