@@ -6,10 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.modes import find_modes
 from rtcal.modes.room_modes import box_modes
 from rtcal.support.errors import DataError
@@ -166,7 +164,7 @@ def test_responses_of_a_sofa_file():
         rt.calibrate_modes(PLACED, far)
 
 
-def test_command_takes_a_sofa_file(tmp_path):
+def test_command_takes_a_sofa_file(tmp_path, rtcal):
     pytest.importorskip("sofar")
     from tests.test_sofa import file
 
@@ -183,13 +181,11 @@ def test_command_takes_a_sofa_file(tmp_path):
     room = ROOM.replace(scene=rt.Scene(sources=names.sources, receivers=names.receivers))
     room.save(tmp_path / "room.toml")
     rt.Measurement.from_values(ROOM.centre_frequencies, t20=times(TRUTH)).save(tmp_path / "t.csv")
-    files = [str(tmp_path / name) for name in ("room.toml", "t.csv")]
-    out = ["--out", str(tmp_path / "calibrated")]
-    told = CliRunner().invoke(cli, ["calibrate", *files, "--modes", str(path), *out])
-    assert told.exception is None, told.exception
-    amplitudes = rt.load(tmp_path / "calibrated").modes.amplitudes
+    files, out = (tmp_path / "room.toml", tmp_path / "t.csv"), tmp_path / "calibrated"
+    told = rtcal("calibrate", *files, "--modes", path, "--out", out)
+    amplitudes = rt.load(out).modes.amplitudes
     assert amplitudes.dtype == complex
     assert amplitudes.shape[1] == len(PAIRS)
-    assert CliRunner().invoke(cli, ["report", str(tmp_path / "calibrated")]).exit_code == 0
-    assert "walls that matter most" in told.stdout
-    assert "were found" in told.stdout
+    rtcal("report", out)
+    assert "walls that matter most" in told
+    assert "were found" in told

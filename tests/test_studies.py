@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.command.main import cli
 from rtcal.studies import paper
 from rtcal.support.errors import DataError
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
+from tests.conftest import run
 
 SHOEBOX = np.array(studies.paper.SHOEBOX)
 HALL = np.array(list(studies.paper.LECTURE_HALL.values()))
@@ -246,14 +245,10 @@ def test_same_for_any_number_of_workers() -> None:
 # Tables, the command, bad input -------------------------------------------------------------------
 
 
-def test_command(tmp_path: Path) -> None:
+def test_command(tmp_path: Path, capsys) -> None:
     size = ["--realisations", "30", "--trials", "20", "--sampling", "sigma_n"]
-    kinds = ["--kind", "shoebox"]
-    done = CliRunner().invoke(
-        cli, ["study", *size, *kinds, "--out", str(tmp_path)], catch_exceptions=False
-    )
-    assert done.exit_code == 0
-    line = next(x for x in done.output.splitlines() if x.startswith("MLE"))
+    assert run("study", *size, "--kind", "shoebox", "--out", tmp_path) == 0
+    line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("MLE"))
     score, paper_value = float(line.split()[2]), float(line.split()[4])
     assert paper_value == 14.8
     assert 10 < score < 20

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.loop import Loop
 from rtcal.report import pages
-from tests.conftest import also
+from tests.conftest import Commands, also
 
 
 @dataclass(frozen=True)
@@ -75,39 +73,36 @@ def test_a_parameter_that_leaves_is_named(cost: float) -> None:
     assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
 
 
-def by_hand(folder: Path, cost: float, options: Sequence[str]) -> tuple[Loop, str, str]:
+def by_hand(rtcal: Commands, folder: Path, cost: float) -> tuple[Loop, str, str]:
     """Return the loop of a program run by hand, what its last step printed, and its page."""
     room, measured = rt.datasets.bras_cr2()
     times, flat = measured.reverberation_time, np.full(room.n_bands, 1.5)
     heard = rt.Measurement.from_values(
         room.centre_frequencies, t20=times, edt=0.9 * times, c80=flat
     )
-    names = {n: str(folder / n) for n in ("room.toml", "t.csv", "loop.json", "next.toml", "s.csv")}
-    room.save(names["room.toml"])
-    heard.save(names["t.csv"])
-    files = ["--state", names["loop.json"], "--out", names["next.toml"]]
-    runner = CliRunner()
-    begun = ["loop", "start", names["room.toml"], names["t.csv"], *files, *options]
-    done = runner.invoke(cli, begun)
-    assert done.exit_code == 0, done.output
-    first = rt.Room.from_file(names["next.toml"]).alpha
+    stated, t, state, following, s = (
+        folder / name for name in ("room.toml", "t.csv", "loop.json", "next.toml", "s.csv")
+    )
+    room.save(stated)
+    heard.save(t)
+    files = ("--state", state, "--out", following)
+    rtcal("loop", "start", stated, t, *files)
+    first = rt.Room.from_file(following).alpha
     for _ in range(3):
-        alpha = rt.Room.from_file(names["next.toml"]).alpha
+        alpha = rt.Room.from_file(following).alpha
         simulated = Bent(room, cost).simulate(alpha)
         values = {p: v[0] for p, v in simulated.values.items()}
         values["c80"] = flat + cost * (alpha - first).sum(axis=0)
-        rt.Measurement.from_values(room.centre_frequencies, **values).save(names["s.csv"])
-        done = runner.invoke(cli, ["loop", "next", names["room.toml"], names["s.csv"], *files])
-        assert done.exit_code == 0, done.output
-        if "Done" in done.output:
+        rt.Measurement.from_values(room.centre_frequencies, **values).save(s)
+        printed = rtcal("loop", "next", stated, s, *files)
+        if "Done" in printed:
             break
-    loop = Loop.load(names["loop.json"])
-    return loop, " ".join(done.output.split()), pages.page_of(names["loop.json"])
+    return Loop.load(str(state)), printed, pages.page_of(state)
 
 
 @pytest.mark.parametrize("cost", [30.0, *also(0.0)])
-def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
-    loop, printed, html = by_hand(tmp_path, cost, ())
+def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path, rtcal: Commands) -> None:
+    loop, printed, html = by_hand(rtcal, tmp_path, cost)
     assert set(loop.beside) == {"edt", "c80"}
     before, after = loop.gaps_beside["c80"]
     np.testing.assert_allclose(before, 0.0, atol=1e-9)
