@@ -345,6 +345,13 @@ def _in_blocks(weighing: Weighing) -> Iterator[tuple[slice, tuple[Array, Array]]
         yield some, (reflection, air)
 
 
+def _far(weighing: Weighing, bands: slice, n_bins: int) -> Array:
+    """Return what air leaves up to the middle of each bin, (n_receivers, n_bins, n_bands)."""
+    _, attenuation, first, bin_length = weighing
+    middle = first[:, np.newaxis] + bin_length * (np.arange(n_bins) + 0.5)
+    return np.asarray(np.exp(-attenuation[bands] * middle[..., np.newaxis]))
+
+
 def histogram(batches: Sequence[Batch], weighing: Weighing, out: Array) -> None:
     """Add the energy at the receivers to ``out``, (n_receivers, n_bands, n_bins), in 1/m².
 
@@ -370,7 +377,6 @@ def histogram_gradient(
     of a wall hit, and ``counts`` (n_codes,) the number that a hit adds to the group's weight. ``out``
     is (n_receivers, n_bands, n_bins), and ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
     """
-    _, attenuation, first, bin_length = weighing
     n_receivers, n_bins, n_groups, _ = gradient.shape
     together = max([_RECEPTIONS, *(int(np.diff(starts).max()) for _, starts, *_ in batches)])
     scratch = np.empty(together), np.empty(together, np.int64), np.empty((BANDS, together))
@@ -380,8 +386,7 @@ def histogram_gradient(
         for batch in batches:
             add_energy(batch, of_bands, weighing[2:], n_bins, groups, counts, scratch, hits, sums)
         # Air attenuates up to the middle of a bin here, and by a series within it.
-        middle = first[:, np.newaxis] + bin_length * (np.arange(n_bins) + 0.5)
-        far = np.exp(-attenuation[bands] * middle[..., np.newaxis])[:, :, np.newaxis]
+        far = _far(weighing, bands, n_bins)[:, :, np.newaxis]
         energy = sums.reshape(n_receivers, n_bins, -1, BANDS)[..., : far.shape[-1]] * far
         out[:, bands] += np.moveaxis(energy[:, :, 0], 2, 1)
         gradient[..., bands] += energy[:, :, 1:]
@@ -456,8 +461,12 @@ def add_energy(
                     sums[place, j + 1, 3] += number * d
 
 
+_TOGETHER = 400_000
+"""Receptions that are sorted at once: their energies fill some 20 MB."""
+
+
 def histogram_changed(
-    batch: Batch,
+    batches: Sequence[Batch],
     weighing: Weighing,
     held: Any,
     powers: Array,
@@ -465,43 +474,71 @@ def histogram_changed(
 ) -> None:
     """Add to ``out`` the energy at receivers if the absorption of a group of faces is changed.
 
-    ``batch`` and ``weighing`` are as in `histogram`. ``held`` (n_codes, n_groups) is 1 if the face of a
-    code belongs to a group, else 0. ``powers`` (n_groups, n_hits, n_changes, n_bands) are the factors
-    of the energy after 0, 1, 2, ... hits on a group. ``out`` is (n_groups, n_receivers, n_bins,
-    n_changes, n_bands).
+    ``batches`` and ``weighing`` are as in `histogram`. ``held`` (n_codes, n_groups) is True if the face
+    of a code belongs to a group. ``powers`` (n_groups, n_hits, n_changes, n_bands) are the factors of
+    the energy after 0, 1, 2, ... hits on a group. ``out`` is (n_groups, n_receivers, n_bins, n_changes,
+    n_bands).
     """
-    n_groups, n_hits, _, n_bands = powers.shape
-    n = len(batch[2])
-    keys, begins = np.empty(n, np.int64), np.zeros(out.shape[1] * out.shape[2] + 1, np.int64)
-    sorted_by_key = np.empty(len(begins), np.int64), np.empty((n, n_groups), np.uint16)
-    sums = np.empty(n_bands), np.empty((n, n_bands)), np.zeros((n_hits, n_bands))
-    hits = np.empty(n_groups, np.int64)
-    add_changed(batch, weighing, held, powers, out, keys, begins, *sorted_by_key, *sums, hits)
+    n_groups, n_receivers, n_bins, n_changes, _ = out.shape
+    # The groups of each code; the last number stands for none.
+    most = int(held.sum(axis=1).max(initial=1))
+    members = np.argsort(~held, axis=1, kind="stable")[:, :most].astype(np.uint16)
+    members[~np.take_along_axis(held, members.astype(np.int64), axis=1)] = n_groups
+    joined = [*_joined(batches)]
+    n = max(len(lengths) for _, _, lengths, _ in joined)
+    n_keys = n_receivers * n_bins
+    scratch = (
+        np.empty(n, np.int64),
+        np.empty(n_keys + 1, np.int64),
+        np.empty(n_keys, np.int64),
+        np.empty((n, n_groups), np.uint16),
+        np.empty((n, BANDS)),
+        np.zeros((powers.shape[1], BANDS)),
+        np.empty(n_groups + 1, np.uint16),
+    )
+    for bands, of_bands in _in_blocks(weighing):
+        some = np.zeros((*powers.shape[:3], BANDS))
+        some[..., : bands.stop - bands.start] = powers[..., bands]
+        sums = np.zeros((n_groups, n_keys, n_changes, BANDS))
+        for batch in joined:
+            add_changed(batch, of_bands, weighing[2:], n_bins, members, some, scratch, sums)
+        far = _far(weighing, bands, n_bins)
+        energy = sums.reshape(*out.shape[:-1], BANDS)[..., : far.shape[-1]]
+        out[..., bands] += energy * far[:, :, np.newaxis]
 
 
-@compiled(reorder=False)
+def _joined(batches: Sequence[Batch]) -> Iterator[Batch]:
+    """Yield batches that have up to `_TOGETHER` receptions together as one."""
+    receptions = sum(len(lengths) for _, _, lengths, _ in batches)
+    together = max(len(batches) * _TOGETHER // max(receptions, 1), 1)
+    for begin in range(0, len(batches), together):
+        events, starts, *heard = zip(*batches[begin : begin + together], strict=True)
+        before = np.cumsum([0, *map(len, events)])
+        each = [of[:-1] + first for of, first in zip(starts, before, strict=False)]
+        lengths, weights = map(np.concatenate, heard)
+        yield np.concatenate(events), np.concatenate([*each, before[-1:]]), lengths, weights
+
+
+@compiled(reorder=True)
 def add_changed(
     batch: Batch,
-    weighing: Weighing,
-    held: Any,
+    of_bands: Any,
+    bins: Any,
+    n_bins: int,
+    members: Any,
     powers: Array,
+    scratch: Any,
     out: Array,
-    keys: Any,
-    begins: Any,
-    slots: Any,
-    counted: Any,
-    level: Array,
-    energy: Array,
-    sums: Array,
-    hits: Any,
 ) -> None:
     """Add energies as `histogram_changed` does, which makes the arrays that are overwritten."""
     events, starts, lengths, weights = batch
-    log_reflection, attenuation, first, bin_length = weighing
-    n_codes, n_bands = log_reflection.shape
-    n_groups, n_receivers, n_bins, n_changes, _ = out.shape
-    n_hits = powers.shape[1]
+    (reflection, attenuation), (first, bin_length) = of_bands, bins
+    keys, begins, slots, counted, energy, sums, hits = scratch
+    n_codes, n_members = members.shape
+    n_groups, n_keys, n_changes, _ = out.shape
     # Sorted by receiver and bin: what is summed after one another stands together in memory.
+    for key in range(n_keys + 1):
+        begins[key] = 0
     heard = 0
     for e in range(len(events)):
         receiver = np.int64(events[e]) - n_codes
@@ -511,48 +548,61 @@ def add_changed(
             if keys[heard] >= 0:
                 begins[keys[heard] + 1] += 1
             heard += 1
-    slots[0] = 0
-    for key in range(n_receivers * n_bins):
+    for key in range(n_keys):
         begins[key + 1] += begins[key]
-        slots[key + 1] = begins[key + 1]
+        slots[key] = begins[key]
     heard = 0
     for path in range(len(starts) - 1):
-        for k in range(n_bands):
-            level[k] = 0.0
+        a, b, c, d = 1.0, 1.0, 1.0, 1.0
         for j in range(n_groups):
             hits[j] = 0
         for e in range(starts[path], starts[path + 1]):
-            code = np.int64(events[e])
+            code = events[e]
             if code < n_codes:
-                for k in range(n_bands):
-                    level[k] += log_reflection[code, k]
-                for j in range(n_groups):
-                    hits[j] += held[code, j]
+                a *= reflection[code, 0]
+                b *= reflection[code, 1]
+                c *= reflection[code, 2]
+                d *= reflection[code, 3]
+                for j in range(n_members):
+                    hits[members[code, j]] += 1
                 continue
-            if keys[heard] >= 0:
-                slot, length = slots[keys[heard]], np.float64(lengths[heard])
-                slots[keys[heard]] += 1
-                for k in range(n_bands):
-                    energy[slot, k] = weights[heard] * math.exp(level[k] - attenuation[k] * length)
+            key = keys[heard]
+            if key >= 0:
+                slot, weight = slots[key], np.float64(weights[heard])
+                slots[key] += 1
+                after = (np.float64(lengths[heard]) - first[np.int64(code) - n_codes]) / bin_length
+                beyond = bin_length * (after - math.floor(after) - 0.5)
+                for k in range(BANDS):
+                    x = attenuation[k] * beyond
+                    higher = 1 / 2 - x * (1 / 6 - x * (1 / 24 - x * (1 / 120)))
+                    energy[slot, k] = weight * (1.0 - x * (1.0 - x * higher))
+                energy[slot, 0] *= a
+                energy[slot, 1] *= b
+                energy[slot, 2] *= c
+                energy[slot, 3] *= d
                 for j in range(n_groups):
                     counted[slot, j] = hits[j]
             heard += 1
     # Energies of as many hits are summed before they are multiplied.
-    for key in range(n_receivers * n_bins):
-        receiver, place = key // n_bins, key % n_bins
+    for key in range(n_keys):
         for j in range(n_groups):
-            least, most = np.int64(n_hits), np.int64(-1)
+            least, most = np.int64(len(sums)), np.int64(-1)
             for slot in range(begins[key], begins[key + 1]):
                 number = np.int64(counted[slot, j])
                 least = number if number < least else least
                 most = number if number > most else most
-                for k in range(n_bands):
-                    sums[number, k] += energy[slot, k]
+                sums[number, 0] += energy[slot, 0]
+                sums[number, 1] += energy[slot, 1]
+                sums[number, 2] += energy[slot, 2]
+                sums[number, 3] += energy[slot, 3]
             for hit_by in range(least, most + 1):
-                for c in range(n_changes):
-                    for k in range(n_bands):
-                        out[j, receiver, place, c, k] += sums[hit_by, k] * powers[j, hit_by, c, k]
-                for k in range(n_bands):
+                a, b, c, d = sums[hit_by, 0], sums[hit_by, 1], sums[hit_by, 2], sums[hit_by, 3]
+                for change in range(n_changes):
+                    out[j, key, change, 0] += a * powers[j, hit_by, change, 0]
+                    out[j, key, change, 1] += b * powers[j, hit_by, change, 1]
+                    out[j, key, change, 2] += c * powers[j, hit_by, change, 2]
+                    out[j, key, change, 3] += d * powers[j, hit_by, change, 3]
+                for k in range(BANDS):
                     sums[hit_by, k] = 0.0
 
 

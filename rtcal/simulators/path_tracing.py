@@ -368,10 +368,6 @@ _LARGEST_POWER = 600.0
 """Largest ln of a factor of the energy: its product with an energy that is 0 is 0, not NaN."""
 
 
-_TOGETHER = 400_000
-"""Receptions that are sorted at once: their energies fill some 20 MB."""
-
-
 LARGEST_CODE = int(np.iinfo(np.uint16).max)
 """Largest code of an event of a path (wall hit or reception)."""
 
@@ -590,7 +586,7 @@ class Paths:
         out = np.empty((len(groups), len(changed), *self.first.shape, alpha.shape[1], weights[2]))
         if alike.any():
             factor = np.array([ratio[:, np.argmax(held)] for held in groups[alike]])
-            held = np.tile(groups[alike][:, self.materials], 2).T.astype(np.int64)
+            held = np.tile(groups[alike][:, self.materials], 2).T
             out[alike] = self._by_hits(weights, bin_length, held, factor)
         for j in np.flatnonzero(~alike):
             for c, other in enumerate(np.where(groups[j][:, np.newaxis], changed, alpha)):
@@ -624,17 +620,8 @@ class Paths:
             source = self.batches[s]
             heard = np.zeros((n_groups, self.first.shape[1], n_bins, n_changes, n_bands))
             weighing = log_reflection, attenuation, self.first[s], float(bin_length)
-            receptions = sum(len(batch.lengths) for batch in source)
-            together = max(len(source) * _TOGETHER // max(receptions, 1), 1)
-            for start in range(0, len(source), together):
-                some = source[start : start + together]
-                before = np.cumsum([0, *(len(batch.events) for batch in some)])
-                starts = [b.starts[:-1] + begin for b, begin in zip(some, before, strict=False)]
-                events, _, lengths, weight = (
-                    np.concatenate(each) for each in zip(*(b.arrays for b in some), strict=True)
-                )
-                joined = events, np.concatenate([*starts, before[-1:]]), lengths, weight
-                kernels.histogram_changed(joined, weighing, held, powers, heard)
+            every = [batch.arrays for batch in source]
+            kernels.histogram_changed(every, weighing, held, powers, heard)
             out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept[s]
 
         self.by_source(weigh)
