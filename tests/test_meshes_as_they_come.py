@@ -264,6 +264,10 @@ def test_a_hole_across_an_edge_or_a_corner_is_closed_in_its_planes(
     assert done.volume == pytest.approx(V, rel=1e-9)
     assert done.areas == pytest.approx({"side": 56, "wall": 80, "flat": 140})
     assert done.area_uncertainty == pytest.approx(u)
+    for name, each in u.items():
+        assert f"{each:.2g} m² of {name}" in str(done)
+    one = [("wall", face) for _, face in drawn]  # one share of the hole: its lids add up
+    assert mended(one, largest_hole=area).area_uncertainty == pytest.approx({"wall": area / 3**0.5})
 
 
 def test_a_hole_that_no_option_closes_is_refused_without_one() -> None:

@@ -46,7 +46,7 @@ _MESH = (
     console.option(
         "hole",
         float,
-        "Largest area in m² of a hole that is closed; by default 1 % of the walls.",
+        "Largest area in m² of a hole that is closed; by default 1 % of all surfaces.",
         "largest_hole",
     ),
     console.flag(

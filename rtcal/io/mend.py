@@ -149,14 +149,17 @@ class Defect:
 
     def __str__(self) -> str:
         """Return the defect as one line."""
-        u = float(np.linalg.norm([*self.area_uncertainty.values()]))
         parts = [f"{self.number} {self.done}", *[f"{rounded(self.area, 3)} m²"] * bool(self.area)]
         for symbol, value, unit in (("V", self.volume_effect, "m³"), ("S", self.area_effect, "m²")):
             if abs(value) > _SHOWN:
                 parts.append(f"{symbol} {'-' if value < 0 else '+'}{rounded(abs(value), 3)} {unit}")
-        for symbol, value, unit in (("V", self.volume_uncertainty, "m³"), ("S", u, "m²")):
-            if value > _SHOWN:
-                parts.append(f"u({symbol}) {rounded(value, 2)} {unit}")
+        if self.volume_uncertainty > _SHOWN:
+            parts.append(f"u(V) {rounded(self.volume_uncertainty, 2)} m³")
+        unsure = {name: u for name, u in self.area_uncertainty.items() if u > _SHOWN}
+        each = [
+            f"{rounded(u, 2)} m²{f' of {name}' * (len(unsure) > 1)}" for name, u in unsure.items()
+        ]
+        parts += [f"u(S) {listed(each)}"] if each else []
         more = ", ..." if self.number > len(self.places) else ""
         at = f" ({', '.join(self.places)}{more})" if self.places else ""
         return f"{self.kind}: {', '.join(parts)}{at}"
@@ -1670,8 +1673,8 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
 
     Where a closed object touches a wall, the touching parts of both faces are removed. All other faces
     are unchanged if they close as they are drawn. Corners that are at most ``weld`` in m apart become
-    one. Holes up to ``largest_hole`` in m² are closed; None means 1 % of the area of the walls. Raises
-    MeshError if the faces enclose no room; its message has the defect, the place and the repair.
+    one. Holes up to ``largest_hole`` in m² are closed; None means 1 % of the area of all surfaces.
+    Raises MeshError if the faces enclose no room; its message has the defect, the place and the repair.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:
