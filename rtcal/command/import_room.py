@@ -103,7 +103,7 @@ _ROOM = (
     console.several(
         "catalogue",
         "MATERIAL=ENTRY",
-        "Take a material from the catalogue (Vorländer 2008).",
+        "Take a material from the catalogue (Vorländer 2008, and others).",
         "in_catalogue",
     ),
     "as",

@@ -318,7 +318,7 @@ def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
             rank[entry], left[entry] = value, len(unlike)
     order = sorted(rank, key=lambda entry: rank[entry], reverse=True)
     if order and not left[order[0]]:
-        return Meaning(order[0], tuple(order[1:]))
+        return Meaning(order[0], tuple(entry for entry in order[1:] if not left[entry]))
     named = [entry for entry in order if rank[entry][4]]
     return Meaning(None, (*dict.fromkeys((*named, *_near(asked.thing), *order)),))
 

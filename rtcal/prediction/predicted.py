@@ -352,7 +352,8 @@ class Prediction(TimeChange, Result):
             two = dict(zip(self.by_equation, (float(own[k]), float(arau[k])), strict=False))
             low, high = self.interval
             if apart[k] >= JND:
-                said.append(words.uneven(labels[k], two, (float(low[k]), float(high[k]))))
+                ends = float(low[k]), float(high[k])
+                said.append(words.uneven(labels[k], float(self.mean[k]), two, ends))
         if known.measured.any() and self.simulated is None:
             said.insert(0, words.gained(JND * self.uncalibrated.half_width, JND * self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))

@@ -132,11 +132,14 @@ def not_measured(labels: Sequence[str]) -> str:
     )
 
 
-def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]) -> str:
+def uneven(
+    label: str, mean: float, times: Mapping[str, float], interval: tuple[float, float]
+) -> str:
     """Return the caution that T after the change depends on the equation, as absorption is uneven.
 
-    ``label`` is the band. ``times`` has T after the change in s by the calibration's equation and by
-    Arau-Puchades', in this order. ``interval`` has the ends of its 90 % interval in s.
+    ``label`` is the band, and ``mean`` the predicted T in s. ``times`` has T after the change in s by
+    the calibration's equation and by Arau-Puchades', in this order. ``interval`` has the ends of its
+    90 % interval in s.
     """
     (own, even), (_, of_axes) = times.items()
     low, high = interval
@@ -147,7 +150,8 @@ def uneven(label: str, times: Mapping[str, float], interval: tuple[float, float]
         why = "Arau-Puchades' T is the shorter where one pair of walls absorbs nearly everything"
     return (
         f"{_UNEVEN}, so T after depends on the equation. {why}. The interval {allowed}: at {label} "
-        f"{even:.2f} s by {own}'s equation and {of_axes:.2f} s by Arau-Puchades'."
+        f"{even:.2f} s by {own}'s equation and {of_axes:.2f} s by Arau-Puchades'. T after, "
+        f"{mean:.2f} s, is a mean over both and Fitzroy's."
     )
 
 
