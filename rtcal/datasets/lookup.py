@@ -36,6 +36,7 @@ _ENDINGS = ("s", "es", "e", "n", "en", "er", "em", "ed")
 _THICKNESSES = (25.0, 50.0, 75.0, 100.0)
 """mm: thicknesses in which porous absorbers are tabulated."""
 _SAME_THICKNESS = 1.25
+"""Largest ratio of two thicknesses that count as one."""
 _MM = {
     "mm": 1.0,
     "cm": 10.0,
@@ -47,10 +48,12 @@ _MM = {
     "inches": 25.4,
     "''": 25.4,
 }
+"""Length in mm of each unit."""
 _OF_POROUS = {"minwool", "glasswool", "rockwool", "fibreglass", "foam", "woodwool", "insulation"}
-_MANY = re.compile(r"(\d+(?:[.,]\d+)?|\d+/\d+)\s*-?\s*(mm|cm|inches|inch|in\b|\"|″|”|'')")
-
-
+"""Words of absorbers whose thickness decides."""
+_LENGTH = re.compile(
+    r"(\d{1,4}(?:[.,]\d{1,4})?|\d{1,2}/[1-9]\d?)\s*-?\s*(mm|cm|inches|inch|in\b|\"|″|”|'')"
+)
 _CAMEL = re.compile(r"(?<=[a-zß-ÿ])(?=[A-ZÀ-Þ])")
 """Where a word begins within one, as in ConcreteBlock."""
 
@@ -191,14 +194,14 @@ def name_of(text: str) -> Name:
     (frozenset({'plaster'}), frozenset({'brick'}))
     """
     read = _Reader()
-    for token in re.findall(r"\d+mm|[^\W\d_]{2,}|[,;:()]", _plainly(text)):
+    for token in re.findall(r"\d+mm|[^\W\d_]{2,40}|[,;:()]", _plainly(text)):
         read.token(token)
     return read.name()
 
 
 def _plainly(text: str) -> str:
     """Return a text in small letters, with thicknesses and what is said in several words as words."""
-    plain = _MANY.sub(_thickness, _folded(_CAMEL.sub(" ", text)))
+    plain = _LENGTH.sub(_thickness, _folded(_CAMEL.sub(" ", text)))
     plain = re.sub(r"[_\-/&+]", " ", plain)
     for phrase, word in sorted(table()["phrases"].items(), key=lambda each: -len(each[0])):
         plain = re.sub(rf"\b{_folded(phrase).replace(' ', '[ ]+')}s?\b", word, plain)
@@ -243,9 +246,9 @@ class _Reader:
         elif _of_size(token):
             self._where.append(token)
         else:
-            self._word(token)
+            self._add(token)
 
-    def _word(self, token: str) -> None:
+    def _add(self, token: str) -> None:
         words, foreign = _word(token)
         covers = self._before in _listed("with") and {*words} & _listed("coverings")
         moved = self._where is self.mounting and (covers or {*words} & _listed("deciding"))
