@@ -139,7 +139,8 @@ def load(path: str | os.PathLike[str]) -> Any:
             )
         if "not_saved" in itself:
             raise DataError(
-                f"the file holds only numbers, not the result itself: {itself['not_saved']}"
+                "the file can be read, but not loaded as a result, because only its numbers could be "
+                f"saved: {itself['not_saved']}"
             )
         version = itself.get("version")
         if version != __version__ or set(itself) != {"version", "objects"}:

@@ -82,8 +82,8 @@ CALIBRATED_BEFORE = (
     "calibration, and the measurement."
 )
 GIVEN = (
-    "The intervals of T after the change hold for the measured T before as it stands in the table. "
-    "Its standard uncertainty, in the line below it, adds to them."
+    "An error of the measured T before shifts T after by at most the same percentage. The intervals do "
+    "not count it; the table has its standard uncertainty."
 )
 EXACT_BEFORE = (
     "The measured T counts as exact: the probability does not include its uncertainty, which is in the "
