@@ -40,13 +40,10 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.search import find
 from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
-from tests.conftest import also
-from tests.test_discrepancy import alpha_covariance, controls_of
+from tests.conftest import also, room_of
+from tests.test_discrepancy import ALPHA, AREAS, F, alpha_covariance, controls_of
 from tests.test_find_with_run import natural
 
-F = 125.0 * 2.0 ** np.arange(7)
-AREAS = np.array([60.0, 60.0, 30.0, 50.0])
-ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
 FEW = ("volume", "noise floor", "opening", "air", "coupled room", "unknown")
 BOTH = (
     AppliedEffect("volume", {"ratio": 1.3}),
@@ -67,17 +64,9 @@ def measured(features: np.ndarray) -> rt.Measurement:
 
 def case_with(*effects: AppliedEffect) -> Case:
     """A case whose measurement is what the model predicts with the effects in it."""
-    room = rt.Room(
-        name="hall",
-        volume=300,
-        materials=["a", "b", "c", "d"],
-        areas=AREAS,
-        alpha=ALPHA,
-        sigma=0.005 + 0.03 * ALPHA,
-        centre_frequencies=F,
-        band_correlation=0.7,
-        air=rt.Air(20, 50),
-    )
+    materials = zip(AREAS, ALPHA, 0.005 + 0.03 * ALPHA, strict=True)
+    of_names = dict(zip("abcd", materials, strict=True))
+    room = room_of(of_names, F, 300, name="hall", band_correlation=0.7, air=rt.Air(20, 50))
     nothing = np.array([np.zeros(7)] * len(FEATURES))
     blank = Configuration(name="as built", measured=measured(nothing), distances=np.array([5.0]))
     case = Case(room=room, configurations=[blank])
