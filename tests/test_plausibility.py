@@ -10,19 +10,16 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.unknowns import Configurations
+from tests.conftest import room_of
 
 
-def room_of(**changes) -> rt.Room:
-    return rt.Room(
-        name="r",
-        volume=120,
-        materials=["a", "b", "c"],
-        areas=[80, 50, 30],
-        alpha=[[0.1, 0.12, 0.15], [0.3, 0.35, 0.4], [0.2, 0.2, 0.2]],
-        sigma=[[0.02, 0.03, 0.03], [0.05, 0.06, 0.05], [0.03, 0.02, 0.04]],
-        centre_frequencies=[500, 1000, 2000],
-        air=rt.Air(),
-    ).replace(**changes)
+def three(**changes) -> rt.Room:
+    materials = {
+        "a": (80, [0.1, 0.12, 0.15], [0.02, 0.03, 0.03]),
+        "b": (50, [0.3, 0.35, 0.4], [0.05, 0.06, 0.05]),
+        "c": (30, 0.2, [0.03, 0.02, 0.04]),
+    }
+    return room_of(materials, [500, 1000, 2000], 120, **{"air": rt.Air(), **changes})
 
 
 BETWEEN = np.array([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1.0]])
@@ -50,16 +47,16 @@ def by_hand(room: rt.Room, between: np.ndarray, by_band: np.ndarray):
 
 
 def test_correlations_enter_z_and_q_wherever_they_were_stated() -> None:
-    z, q, p = by_hand(room_of(), BETWEEN, BY_BAND)
-    _, q_independent, _ = by_hand(room_of(), np.eye(3), np.eye(3))
+    z, q, p = by_hand(three(), BETWEEN, BY_BAND)
+    _, q_independent, _ = by_hand(three(), np.eye(3), np.eye(3))
     assert abs(q / q_independent - 1) > 0.1
-    stated = room_of(band_correlation=0.7, material_correlation={("a", "b"): 0.5})
+    stated = three(band_correlation=0.7, material_correlation={("a", "b"): 0.5})
     prior = terms.PriorDeviation(band_correlation=0.7, material_correlation={("a", "b"): 0.5})
     composed = rt.Calibration(prior, [terms.ExactMatch()])
     for result in (
         rt.calibrate(stated, TIMES),
         rt.calibrate(stated, TIMES, method="lse"),
-        composed.build(room_of()).solve(TIMES),
+        composed.build(three()).solve(TIMES),
     ):
         found = result.plausibility
         np.testing.assert_allclose(found.z, z, rtol=1e-9)
@@ -70,7 +67,7 @@ def test_correlations_enter_z_and_q_wherever_they_were_stated() -> None:
 
 def test_materials_that_share_their_coefficients_err_together() -> None:
     """One unknown of 130 m²: (S_a + S_b)² sigma², not S_a² sigma² + S_b² sigma²."""
-    room = room_of()
+    room = three()
     alpha, sigma = room.alpha.copy(), room.sigma.copy()
     alpha[1], sigma[1] = alpha[0], sigma[0]
     room = room.replace(alpha=alpha, sigma=sigma)
@@ -84,7 +81,7 @@ def test_materials_that_share_their_coefficients_err_together() -> None:
 
 
 def test_each_configuration_has_its_own_z() -> None:
-    rooms = [room_of(), room_of(areas=[80, 20, 60], name="other")]
+    rooms = [three(), three(areas=[80, 20, 60], name="other")]
     times = [TIMES, np.array([0.7, np.nan, 0.8])]
     both = rt.calibrate(Configurations(rooms), times, method="joint")
     for room, t, result in zip(rooms, times, both.results, strict=True):
@@ -95,7 +92,7 @@ def test_each_configuration_has_its_own_z() -> None:
 
 
 def test_configurations_state_one_correlation() -> None:
-    stated = room_of(band_correlation=0.7, material_correlation={("a", "b"): 0.5})
+    stated = three(band_correlation=0.7, material_correlation={("a", "b"): 0.5})
     other = stated.replace(name="other", material_correlation={("b", "a"): 0.5})
     both = Configurations([stated, other])
     assert both.union.band_correlation == 0.7
@@ -110,7 +107,7 @@ def test_configurations_state_one_correlation() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_missing_band_keeps_its_prior_in_every_method(method: str) -> None:
-    room = room_of()
+    room = three()
     t = np.array([0.45, np.nan, 0.4])
     result = rt.calibrate(room, t, method=method)
     moved = np.abs(result.shift).max(axis=0)
@@ -124,7 +121,7 @@ def test_a_missing_band_keeps_its_prior_in_every_method(method: str) -> None:
 
 
 def test_any_configuration_without_air_warns() -> None:
-    rooms = Configurations([room_of(air=None), room_of(air=None, name="no climate")])
+    rooms = Configurations([three(air=None), three(air=None, name="no climate")])
     with pytest.warns(rt.errors.MissingAirWarning, match="has no air") as said:
         rt.calibrate(rooms, [TIMES, 1.01 * np.asarray(TIMES)], method="joint")
     assert said[0].filename == __file__

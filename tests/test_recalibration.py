@@ -9,21 +9,14 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.means.recalibration import plain
+from tests.conftest import room_of
 from tests.test_discrepancy import case_with, made
 
 
 def millington_case(time: float) -> rt.finder.Case:
-    alpha = np.array([[0.22], [0.07], [0.68], [0.15], [0.04], [0.06]])
-    room = rt.Room(
-        name="one hard and one soft wall",
-        volume=240,
-        materials=list("abcdef"),
-        areas=[40.0, 40.0, 30.0, 30.0, 48.0, 48.0],
-        alpha=alpha,
-        sigma=0.2 * alpha,
-        centre_frequencies=[8000],
-        air=rt.Air(20, 50),
-    )
+    alpha, areas = (0.22, 0.07, 0.68, 0.15, 0.04, 0.06), (40.0, 40.0, 30.0, 30.0, 48.0, 48.0)
+    one_soft = {n: (s, a, 0.2 * a) for n, s, a in zip("abcdef", areas, alpha, strict=True)}
+    room = room_of(one_soft, [8000], 240, air=rt.Air(20, 50))
     measured = rt.Measurement(centre_frequencies=[8000], values={"t20": [[time]]})
     configuration = rt.finder.Configuration(name="as is", measured=measured)
     return rt.finder.Case(room=room, equation="millington", configurations=[configuration])

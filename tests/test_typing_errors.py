@@ -13,6 +13,7 @@ from rtcal.finder import case_of
 from rtcal.io import tables
 from rtcal.report.finding_words import cautions
 from rtcal.support.text import as_sentence
+from tests.conftest import room_of
 from tests.test_discrepancy import controls_of
 
 BANDS = [125, 250, 500, 1000, 2000, 4000]
@@ -20,17 +21,10 @@ USUAL = [1.1, 1.3, 1.24, 1.2, 1.05, 0.84]
 
 
 def room(**stated: object) -> rt.Room:
-    return rt.Room(
-        name="classroom",
-        volume=210,
-        materials=["plaster", "linoleum", "tiles"],
-        areas=[120, 70, 70],
-        alpha=[[0.05] * 6, [0.04] * 6, [0.2, 0.25, 0.3, 0.35, 0.35, 0.4]],
-        sigma=[[0.02] * 6, [0.02] * 6, [0.1] * 6],
-        centre_frequencies=BANDS,
-        air=rt.Air(),
-        **stated,  # type: ignore[arg-type]
-    )
+    tiles = [0.2, 0.25, 0.3, 0.35, 0.35, 0.4]
+    materials = {"plaster": (120, 0.05, 0.02), "linoleum": (70, 0.04, 0.02)}
+    materials |= {"tiles": (70, tiles, 0.1)}
+    return room_of(materials, BANDS, 210, air=rt.Air(), **stated)
 
 
 @pytest.mark.parametrize("factor", [1 / 20, 1 / 10, 10, 20])

@@ -14,6 +14,7 @@ from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.weighing import AIR
 from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Assumptions, predict
+from tests.conftest import room_of
 
 SABINE = rt.Sabine()
 PAIRS = (("S", "R1"), ("S", "R2"))
@@ -25,18 +26,13 @@ STATED = {
 }
 
 
-def room_of(**stated: object) -> rt.Room:
-    return rt.Room(
-        name="box",
-        volume=105,
-        materials=["floor", "ceiling", "wall"],
-        areas=[35.0, 35.0, 66.0],
-        alpha=[[0.2, 0.3], [0.5, 0.6], [0.1, 0.15]],
-        sigma=[[0.04, 0.06], [0.1, 0.12], [0.02, 0.03]],
-        centre_frequencies=[1000, 4000],
-        air=Air(20.0, 50.0),
-        **stated,  # type: ignore[arg-type]
-    )
+def box(**stated: object) -> rt.Room:
+    materials = {
+        "floor": (35.0, [0.2, 0.3], [0.04, 0.06]),
+        "ceiling": (35.0, [0.5, 0.6], [0.1, 0.12]),
+        "wall": (66.0, [0.1, 0.15], [0.02, 0.03]),
+    }
+    return room_of(materials, [1000, 4000], 105, air=Air(20.0, 50.0), **stated)
 
 
 def logarithm(room: rt.Room) -> np.ndarray:
@@ -55,7 +51,7 @@ def derivatives(room: rt.Room) -> np.ndarray:
 
 @pytest.mark.parametrize("of_level", [False, True])
 def test_changes_are_those_of_the_equation(of_level: bool) -> None:
-    room = room_of(**STATED)
+    room = box(**STATED)
     got = value_changes(room, derivatives(room), np.full(2, of_level))
     step = 1e-4
 
@@ -103,7 +99,7 @@ def calibrated(room: rt.Room, factor: float) -> PositionsResult:
     "stated", [{"volume_sigma": 0.1}, {"area_sigma": 0.1}, {"common_area_sigma": 0.1}]
 )
 def test_coefficients_carry_less_of_what_the_room_explains(stated: dict[str, float]) -> None:
-    exact, uncertain = room_of(), room_of(**stated)
+    exact, uncertain = box(), box(**stated)
     taken = [calibrated(room, 1.1) for room in (exact, uncertain)]
     shift = [np.abs(result.room.alpha - exact.alpha) for result in taken]
     assert (shift[1] < 0.9 * shift[0]).all()
@@ -119,7 +115,7 @@ def test_coefficients_carry_less_of_what_the_room_explains(stated: dict[str, flo
 
 
 def test_tables_that_are_off_together_move_together() -> None:
-    exact, together = room_of(), room_of(common_alpha_sigma=0.3)
+    exact, together = box(), box(common_alpha_sigma=0.3)
     alone, common = (
         calibrated(room, 1 / 1.2).room.alpha / exact.alpha for room in (exact, together)
     )
@@ -127,7 +123,7 @@ def test_tables_that_are_off_together_move_together() -> None:
 
 
 def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None:
-    room = room_of(volume_sigma=0.1)
+    room = box(volume_sigma=0.1)
     simulator = rt.simulators.External(
         room=room,
         name="Sabine",
@@ -143,7 +139,7 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
     np.testing.assert_allclose(result.of_uncertain_room.alpha, expected.alpha, rtol=1e-9)
     assert (result.of_uncertain_room.alpha > result.alpha + 1e-3).all()
     assert "volume 10 %" in " ".join(str(result).split())
-    exact = rt.calibrate_simulator(simulator, room_of(), measured, equation=SABINE, tolerance=0.01)
+    exact = rt.calibrate_simulator(simulator, box(), measured, equation=SABINE, tolerance=0.01)
     assert exact.of_uncertain_room is None
 
 
@@ -158,7 +154,7 @@ def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(
         factor, _ = _prior(case, slopes, np.zeros((2, 5, len(AIR))))
         return (factor**2).sum(axis=1)
 
-    exact, uncertain = room_of(), room_of(**stated)
+    exact, uncertain = box(), box(**stated)
     matrix = np.zeros((2, 5, 3, 2))
     for k in range(2):
         matrix[k, :, :, k] = slopes[k]
@@ -180,7 +176,7 @@ def variance_before(room: rt.Room) -> np.ndarray:
 def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
     """Its T has the variance of the coefficients, those off together included."""
     sigma = np.full((3, 2), 1e-3)
-    exact, uncertain = (room_of(common_alpha_sigma=t).replace(sigma=sigma) for t in (0, 0.03))
+    exact, uncertain = (box(common_alpha_sigma=t).replace(sigma=sigma) for t in (0, 0.03))
     together = 0.03 * derivatives(exact) @ exact.alpha.ravel()
     found = variance_before(uncertain) - variance_before(exact)
     np.testing.assert_allclose(found, together**2, rtol=0.05)
@@ -189,7 +185,7 @@ def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
 @pytest.mark.parametrize("name", list(STATED))
 def test_a_prediction_counts_each_area_of_its_own_and_the_climate(name: str) -> None:
     """Its T has the variance of what the room states, as positions hear it; nothing else is unknown."""
-    exact = room_of().replace(sigma=np.zeros((3, 2)))
+    exact = box().replace(sigma=np.zeros((3, 2)))
     uncertain = exact.replace(**{name: STATED[name]})
     expected = value_changes(uncertain, derivatives(exact), np.zeros(2, dtype=bool))
     variance = variance_before(uncertain)

@@ -6,22 +6,16 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from tests.conftest import room_of
 
 EYRING = rt.Eyring()
 LACKS = "more absorption than these materials can have"
 
 
 def room(fixed: bool = False) -> rt.Room:
-    return rt.Room(
-        name="r",
-        volume=200,
-        materials=["wall", "panel", "stone"],
-        areas=[150, 4, 20],
-        alpha=[[0.3], [0.9], [0.02]],
-        sigma=[[0.002], [0.1], [0.0 if fixed else 0.001]],
-        centre_frequencies=[1000],
-        air=rt.Air(20, 50),
-    )
+    stone = (20, 0.02, 0.0 if fixed else 0.001)
+    materials = {"wall": (150, 0.3, 0.002), "panel": (4, 0.9, 0.1), "stone": stone}
+    return room_of(materials, [1000], 200, air=rt.Air(20, 50))
 
 
 def advice(result: rt.CalibrationResult) -> list[str]:

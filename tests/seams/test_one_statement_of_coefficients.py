@@ -10,6 +10,7 @@ import rtcal as rt
 from rtcal.acoustics.marks import agreement
 from rtcal.finder import Case, Configuration
 from rtcal.finder.evidence import directions
+from tests.conftest import room_of
 
 
 def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> None:
@@ -29,17 +30,9 @@ def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> 
 
 def test_what_errors_in_common_explain_is_no_contradiction() -> None:
     """Every coefficient is 20 % too small: improbable one by one, and usual of a handbook."""
-    alpha = np.tile([[0.1], [0.2], [0.15], [0.1], [0.3], [0.25]], (1, 6))
-    room = rt.Room(
-        name="hall",
-        volume=500,
-        materials=list("abcdef"),
-        areas=[60, 60, 70, 70, 80, 80],
-        alpha=alpha,
-        sigma=0.3 * alpha,
-        centre_frequencies=125 * 2.0 ** np.arange(6),
-        air=rt.Air(),
-    )
+    alpha, areas = (0.1, 0.2, 0.15, 0.1, 0.3, 0.25), (60, 60, 70, 70, 80, 80)
+    handbook = {n: (s, a, 0.3 * a) for n, s, a in zip("abcdef", areas, alpha, strict=True)}
+    room = room_of(handbook, 125 * 2.0 ** np.arange(6), 500, air=rt.Air())
     times = rt.Eyring().time(room, 1.25 * room.absorption_area)
     found = rt.calibrate(room, times).plausibility
     assert agreement(found.p_value) == "contradicts"
