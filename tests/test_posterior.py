@@ -11,22 +11,15 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.posterior import distribution, draws, samples, sensitivity
 from rtcal.support.normal import NORMAL, quantile_and_mass
-from tests.conftest import also, in_order, random_room, true_times
+from tests.conftest import also, in_order, random_room, room_of, true_times
 from tests.quadrature import errors, random_band
 
 EYRING = rt.Eyring()
 
 
 def room_with(mu: float, sigma: float, n: int = 4) -> rt.Room:
-    return rt.Room(
-        name="r",
-        volume=100,
-        materials=[f"m{i}" for i in range(n)],
-        areas=np.linspace(10, 40, n),
-        alpha=np.full((n, 1), mu),
-        sigma=np.full((n, 1), sigma),
-        centre_frequencies=[1000],
-    )
+    areas = enumerate(np.linspace(10, 40, n))
+    return room_of({f"m{i}": (area, mu, sigma) for i, area in areas}, [1000])
 
 
 @pytest.mark.parametrize("seed", [*range(8), *also(*range(8, 24))])
@@ -39,16 +32,8 @@ def test_random_bands_against_quadrature(seed: int) -> None:
 
 
 def single_band(areas: list[float], alpha: float, sigma: list[float]) -> rt.Room:
-    n = len(areas)
-    return rt.Room(
-        name="r",
-        volume=1000,
-        materials=[f"m{i}" for i in range(n)],
-        areas=areas,
-        alpha=np.full((n, 1), alpha),
-        sigma=np.reshape(sigma, (n, 1)),
-        centre_frequencies=[1000],
-    )
+    rows = enumerate(zip(areas, sigma, strict=True))
+    return room_of({f"m{i}": (area, alpha, u) for i, (area, u) in rows}, [1000], 1000)
 
 
 @pytest.mark.parametrize("small", [0.01, 0.005, 0.002, 0.001, 1e-5])

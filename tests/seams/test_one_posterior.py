@@ -11,23 +11,16 @@ import rtcal as rt
 from benchmarks.studies.calibrations import interval_coverage
 from rtcal import terms
 from rtcal.calibration.posterior import distribution
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 EYRING = rt.Eyring()
 METHODS = ("mle", "soft")
 
 
 def room(n: int, alpha: float = 0.3, sigma: float = 0.02) -> rt.Room:
-    return rt.Room(
-        name="r",
-        volume=200,
-        materials=[f"m{i}" for i in range(n)],
-        areas=np.linspace(20, 60, n),
-        alpha=np.full((n, 2), alpha),
-        sigma=np.full((n, 2), sigma),
-        centre_frequencies=[500, 1000],
-        air=rt.Air(20, 50),
-    )
+    areas = enumerate(np.linspace(20, 60, n))
+    materials = {f"m{i}": (area, alpha, sigma) for i, area in areas}
+    return room_of(materials, [500, 1000], 200, air=rt.Air(20, 50))
 
 
 def measured(t: np.ndarray, relative: float) -> rt.Measurement:
