@@ -60,7 +60,7 @@ def find(
     before : Measurement, optional
         Measurement at the same positions before the room was changed. rtcal then finds what changed
         from ``before`` to ``measured``, and the room's coefficients have no effect
-        (`rtcal.finder.states`). ``controls``, ``cache``, ``progress`` and ``scheduler`` cannot be given
+        (docs/two_states.md). ``controls``, ``cache``, ``progress`` and ``scheduler`` cannot be given
         with it.
     simulated : Run, optional
         Result of a simulation program such as ODEON, with the coefficients that it used. It is compared
@@ -88,7 +88,10 @@ def find(
         - ``progress``: function that is called with the name of the step, and with the numbers of
           finished and of all steps.
         - ``scheduler``: address of a Dask scheduler whose workers simulate; by default this machine.
-        - ``prior`` and ``most``, for means over positions only: see `rtcal.finder.means.search.find`.
+        - ``most``, for means over positions: largest number of effects that may be missing at once,
+          from 1 to 3.
+        - ``prior``, for means over positions: how probable an effect is before the measurement,
+          relative to a usual effect. With ``{"opening": 2.0}`` an opening is twice as probable.
 
     Returns
     -------
