@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+import timeit
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -47,19 +48,12 @@ def reference_simulations(**where: Any) -> None:
 
 
 def learn(**where: Any) -> None:
-    rt.learn(archive(20), **where)
-
-
-def archive(number: int) -> list[rt.calibration.CalibrationResult]:
-    """Return calibrations of rooms whose T differ by 10 %."""
+    """Learn from rooms whose T differ by 10 %."""
     room, _ = rt.datasets.bras_cr2()
     times, rng = rt.Eyring().reverberation_time(room), np.random.default_rng(1)
-    return [
-        rt.calibrate(
-            room.replace(name=f"{n}"), times * np.exp(0.1 * rng.standard_normal(len(times)))
-        )
-        for n in range(number)
-    ]
+    off = np.exp(0.1 * rng.standard_normal((20, len(times))))
+    rooms = [rt.calibrate(room.replace(name=f"{n}"), t) for n, t in enumerate(times * off)]
+    rt.learn(rooms, **where)
 
 
 def nothing(job: int) -> int:
@@ -82,36 +76,30 @@ ROWS: dict[str, Callable[..., None]] = {
 }
 
 
-def seconds(call: Callable[..., None], **where: Any) -> float:
-    began = time.perf_counter()
-    call(**where)
-    return time.perf_counter() - began
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--times", type=int, default=3)
     times = parser.parse_args().times
     settings = {"threads_per_worker": 1, "dashboard_address": ":0"}
     with LocalCluster(n_workers=WORKERS, **settings) as cluster:
-        address = cluster.scheduler_address
+        there = {"scheduler": cluster.scheduler_address}
         print(f"{'':40}{'threads / s':>12}{'cluster / s':>12}{'ratio':>7}")
         for name, call in ROWS.items():
-            both: list[tuple[float, float]] = []
+            both: list[list[float]] = []
             for turn in range(times + 1):  # the first loads modules and compiled loops
-                made = seconds(call), seconds(call, scheduler=address)
+                made = [timeit.timeit(partial(call, **w), number=1) for w in ({}, there)]
                 both += [made] if turn else []
-            here, there = (statistics.median(each) for each in zip(*both, strict=True))
+            threads, workers = (statistics.median(each) for each in zip(*both, strict=True))
             ratio = statistics.median(b / a for a, b in both)
-            print(f"{name:40}{here:12.2f}{there:12.2f}{ratio:7.2f}", flush=True)
+            print(f"{name:40}{threads:12.2f}{workers:12.2f}{ratio:7.2f}", flush=True)
     began = time.process_time()
     study(10_000, workers=1)
     rate = 2000 * 10_000 / (time.process_time() - began)
     print(f"\nstudy: {rate:.2g} rooms per second of a core")
     tasks = 1e10 / 10_000 / studies.study.PIECE
-    print(f"10^10 rooms: handing out {tasks:g} tasks takes {tasks * there / 1000 / 60:.3g} min")
-    for workers in ON_PAPER:
-        print(f"10^10 rooms, {workers} workers: {1e10 / rate / workers / 60:.3g} min at least")
+    print(f"10^10 rooms: handing out {tasks:g} tasks takes {tasks * workers / 1000 / 60:.3g} min")
+    for number in ON_PAPER:
+        print(f"10^10 rooms, {number} workers: {1e10 / rate / number / 60:.3g} min at least")
 
 
 if __name__ == "__main__":

@@ -32,12 +32,8 @@ ANY = "rtcal.loop.closed.x_secant__mutmut_1"  # any one mutant: mutmut makes all
 LONGEST = 3.0  # s; a survivor costs the time of all tests that reach it
 STATS = Path("mutants/mutmut-stats.json")
 SURVIVED = {
-    0: "survived",
-    2: "interrupted",
-    33: "no test reaches it",
-    None: "not run",
-    34: "skipped",
-}
+    0: "survived", 2: "interrupted", 33: "no test reaches it", None: "not run", 34: "skipped",
+}  # fmt: skip
 SURVIVORS: dict[tuple[str, str], str] = {
     (
         "rtcal.calibration.archive.x__named",

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from collections.abc import Callable
+import timeit
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -21,12 +21,6 @@ from rtcal.simulators.path_tracing import PathTracing
 
 SECONDS = 1.5
 LIMIT = 20  # promised: re-weighting at least this many times quicker than tracing
-
-
-def seconds(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    call()
-    return time.perf_counter() - start
 
 
 def main() -> int:
@@ -51,23 +45,16 @@ def main() -> int:
     kept.energy(hall.room.alpha, SECONDS)  # compiles, traces
     whole.simulate(hall.room.alpha)  # traces as long as T20 asks for
     traced = kept.traced(0, SECONDS)
-    times: dict[str, list[float]] = {
-        "trace, one thread": [],
-        "trace, all threads": [],
-        "weight for a new alpha": [],
-        "weight, measured with noise": [],
-    }
+    times: dict[str, list[float]] = {}
     for _ in range(arguments.repeats):
         alpha = np.clip(hall.room.alpha * rng.uniform(0.8, 1.2, hall.room.alpha.shape), 0, 1)
-        for workers, label in ((1, "trace, one thread"), (None, "trace, all threads")):
-            fresh = tracer(workers)
-            times[label].append(seconds(lambda fresh=fresh: fresh.traced(0, SECONDS)))  # type: ignore[misc]
-        times["weight for a new alpha"].append(
-            seconds(lambda alpha=alpha: kept.energy(alpha, SECONDS))  # type: ignore[misc]
-        )
-        times["weight, measured with noise"].append(
-            seconds(lambda alpha=alpha: whole.simulate(alpha))  # type: ignore[misc]
-        )
+        for label, call in (
+            ("trace, one thread", partial(tracer(1).traced, 0, SECONDS)),
+            ("trace, all threads", partial(tracer(None).traced, 0, SECONDS)),
+            ("weight for a new alpha", partial(kept.energy, alpha, SECONDS)),
+            ("weight, measured with noise", partial(whole.simulate, alpha)),
+        ):
+            times.setdefault(label, []).append(timeit.timeit(call, number=1))
     middle = {label: median(values) for label, values in times.items()}
     one = middle["trace, one thread"]
     print(

@@ -10,7 +10,9 @@ since what else the machine does only adds.
 from __future__ import annotations
 
 import time
+import timeit
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -38,11 +40,9 @@ def room(n_bands: int) -> rt.Room:
     )
 
 
-def seconds(call: Callable[[], object]) -> float:
+def quickest(call: Callable[[], object], times: int = REPEATS) -> float:
     """Processor time: what else a shared machine does is not in it. Nothing here has two threads."""
-    start = time.process_time()
-    call()
-    return time.process_time() - start
+    return min(timeit.repeat(call, timer=time.process_time, number=1, repeat=times))
 
 
 def pyroomacoustics_seconds(duration: float) -> float | None:
@@ -57,42 +57,33 @@ def pyroomacoustics_seconds(duration: float) -> float | None:
     box = pra.ShoeBox(SIDES, fs=8000, materials=pra.Material(0.2), max_order=order)
     box.add_source(POINTS["sources"]["S"])
     box.add_microphone(POINTS["receivers"]["R"])
-    return seconds(box.image_source_model)
+    return quickest(box.image_source_model, 1)
 
 
 def main() -> None:
     duration = 1.0
     for n_bands, limit in LIMITS.items():
         network = ScatteringDelayNetwork(room=room(n_bands), sampling_rate=44100.0, **POINTS)
-        alpha = room(n_bands).alpha
-        network.impulse_responses(alpha, duration)  # compiles
-        took = min(
-            seconds(lambda n=network, a=alpha: n.impulse_responses(a, duration))
-            for _ in range(REPEATS)
-        )
+        render = partial(network.impulse_responses, network.room.alpha, duration)
+        render()  # compiles
+        took = quickest(render)
         print(f"network, {n_bands} bands: {duration / took:.0f} times real time (at least {limit})")
     for n_bands in LIMITS:
-        alpha = room(n_bands).alpha
-
-        def made(n_bands: int = n_bands) -> ImageSource:
-            return ImageSource(room=room(n_bands), duration=0.5, **POINTS)
-
+        made = partial(ImageSource, room=room(n_bands), duration=0.5, **POINTS)
         images = made()
-        images.decays(alpha)[0]  # compiles
-        count, weigh = [], []
-        for _ in range(REPEATS):
-            count.append(seconds(made))
-            weigh += [seconds(lambda i=images, a=alpha: i.decays(a)) for _ in range(REPEATS)]
-        ratio = min(count) / min(weigh)
+        weighting = partial(images.decays, images.room.alpha)
+        weighting()[0]  # compiles
+        count, weigh = quickest(made), quickest(weighting, REPEATS**2)
+        ratio = count / weigh
         print(
             f"image sources, {len(images.images[0].bins)} of them, 0.5 s, {n_bands} bands: "
-            f"counting {1e3 * min(count):.1f} ms, weighting {1e3 * min(weigh):.2f} ms, "
+            f"counting {1e3 * count:.1f} ms, weighting {1e3 * weigh:.2f} ms, "
             f"ratio {ratio:.0f}, {n_bands * ratio:.0f} a band (asked for: 50)"
         )
         if (theirs := pyroomacoustics_seconds(0.5)) is not None:
             print(
                 f"  pyroomacoustics counts in {1e3 * theirs:.0f} ms, "
-                f"{theirs / min(weigh):.0f} times the weighting of all bands"
+                f"{theirs / weigh:.0f} times the weighting of all bands"
             )
 
 
