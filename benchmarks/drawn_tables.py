@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.studies.stored import rows
+from benchmarks.studies.stored import numbered
 from rtcal.acoustics.observables import SUMMARY
 from rtcal.io import library, tables
 from rtcal.modes import measured
@@ -53,7 +53,7 @@ class Drawn:
 @cache
 def stored() -> dict[int, dict[str, Any]]:
     """Return every stored table by its seed."""
-    return {row.pop("seed"): row for row in rows(Path(__file__).with_suffix(".jsonl.gz"))}
+    return numbered(Path(__file__).with_suffix(".jsonl.gz"), "seed")
 
 
 def example(seed: int) -> Drawn:

@@ -69,24 +69,10 @@ def run(path: Path) -> list[str]:
         resources={"metadata": {"path": str(path.parent)}},
     )
     client.execute()
-    for cell in notebook.cells:
-        _merge_streams(cell)
     if "RTCAL_FAST" in os.environ:
         return []
     nbformat.write(notebook, path)
     return differences(stored, printed(notebook))
-
-
-def _merge_streams(cell: nbformat.NotebookNode) -> None:
-    """Join neighbouring pieces of printed text, which arrive by chance in one or in several."""
-    merged: list[nbformat.NotebookNode] = []
-    for out in cell.get("outputs", []):
-        if merged and out.output_type == merged[-1].output_type == "stream":
-            merged[-1].text += out.text
-        else:
-            merged.append(out)
-    if "outputs" in cell:
-        cell.outputs = merged
 
 
 def main(names: list[str]) -> int:

@@ -12,7 +12,7 @@ import pytest
 import rtcal as rt
 from benchmarks.studies.means import judged
 from benchmarks.studies.position_rooms import load as position_rooms
-from benchmarks.studies.stored import numbered, read
+from benchmarks.studies.stored import read
 from rtcal.finder import Case
 from rtcal.simulators import PathTracing
 
@@ -71,7 +71,7 @@ def compare(simulated: Any, exact: rt.Measurement) -> None:
 
 @pytest.mark.parametrize("index", [0, 3])
 def test_the_package_simulates_a_position_room_as_its_own_tracer(index: int) -> None:
-    truth = numbered("position_rooms", 0, "truth")[index]["truth"]
+    truth = position_rooms.stored(0, "truth")[index]["truth"]
     case = position_rooms.load(0, index, "wide")
     alpha = position_rooms.true_alpha(0, index, "wide")
     simulated = told(position_rooms, case, truth, 4000).observe(alpha, tuple(BOUNDS))

@@ -29,6 +29,11 @@ def rows(file: Path) -> list[Row]:
     return [json.loads(line) for line in text.splitlines()]
 
 
+def numbered(file: Path, key: str = "index") -> dict[int, Row]:
+    """Return the rows of a file by their numbers; none if there is no file."""
+    return {row.pop(key): row for row in rows(file)}
+
+
 def plain(value: Any, digits: int | None = None) -> Any:
     """Return a value as JSON keeps it, with every bit of a number or so many digits; NaN is None."""
     if isinstance(value, Mapping):
@@ -69,11 +74,6 @@ def path(world: str, population: int, part: str) -> Path:
 def read(world: str, population: int, part: str) -> list[Row]:
     """Return one part of a population's rooms in their order."""
     return rows(path(world, population, part))
-
-
-def numbered(world: str, population: int, part: str) -> dict[int, Row]:
-    """Return one part of a population's rooms by their numbers; none if there is no file."""
-    return {row.pop("index"): row for row in read(world, population, part)}
 
 
 def commands(description: str, **steps: Callable[[Path | None], None]) -> None:

@@ -26,7 +26,7 @@ HANDBOOK, IN_SITU = "handbook", "in situ"
 
 @lru_cache(maxsize=4)
 def stored(population: int, part: str) -> dict[int, files.Row]:
-    return files.numbered("geometric_world", population, part)
+    return files.numbered(files.path("geometric_world", population, part))
 
 
 def truth(population: int, index: int) -> files.Row:

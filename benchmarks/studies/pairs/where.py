@@ -45,10 +45,7 @@ from benchmarks.studies.means.judging import FLAGS, rounded, row_of
 from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, table
 from benchmarks.studies.stored import Row, path, plain, resume, rows, write
 from rtcal.acoustics.marks import gap_jnd
-from rtcal.finder import library
-from rtcal.finder.positions.problem import PositionsHypotheses, PositionsProblem
-from rtcal.finder.positions.search import controls_of, every_hypothesis, of_means
-from rtcal.finder.positions.weighing import responses_of
+from rtcal.finder.positions.search import of_means
 from rtcal.finder.search import find
 
 PATHS = 8000
@@ -92,15 +89,6 @@ class Judging:
 
     def file(self, step: str) -> Path:
         return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
-
-
-def prepared(
-    case: rt.finder.PositionsCase, cache: Path
-) -> tuple[PositionsProblem, PositionsHypotheses]:
-    """Return the numbers and the hypotheses of a search, as `rtcal.find` makes them."""
-    made = responses_of(case, 0, cache)
-    numbers = PositionsProblem(case, made, controls_of(case, cache=cache))
-    return numbers, every_hypothesis(case, numbers, library())
 
 
 def judged(judging: Judging, index: int, data: str) -> Row:

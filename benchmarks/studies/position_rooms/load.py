@@ -89,7 +89,7 @@ class PositionRoom:
 
 @lru_cache(maxsize=4)
 def stored(population: int, part: str) -> dict[int, files.Row]:
-    return files.numbered("position_rooms", population, part)
+    return files.numbered(files.path("position_rooms", population, part))
 
 
 def as_measurement(bands: Any, values: dict[str, Any]) -> Measurement:
