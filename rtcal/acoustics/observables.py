@@ -468,14 +468,11 @@ class DecaySlope(Relative):
         """
         with np.errstate(invalid="ignore"):
             within = (level <= self.upper) & (level >= self.lower)
-        k = np.arange(level.shape[-1], dtype=float)
-        n = within.sum(axis=-1)
-        many = np.maximum(n, 1)
-        mean = np.where(within, k, 0).sum(-1) / many
-        centred_k = np.where(within, k - mean[..., np.newaxis], 0.0)
-        y = np.where(within, level, 0.0)
-        spread = np.sum(centred_k**2, axis=-1)
-        fall = -np.sum(centred_k * y, axis=-1)
+        k, every = np.arange(level.shape[-1], dtype=float), within.astype(float)
+        y, n = np.where(within, level, 0.0), every.sum(axis=-1)
+        centred = (k - (every @ k / np.maximum(n, 1))[..., np.newaxis]) * every
+        spread = np.einsum("...k,...k->...", centred, centred)
+        fall = -np.einsum("...k,...k->...", centred, y)
         holds = (n >= 2) & (fall > 0)
         return np.where(holds, 60 * bin_width * spread / np.where(holds, fall, 1.0), np.nan)
 

@@ -30,7 +30,9 @@ from rtcal.acoustics.observables import (
     MATCH,
     OBSERVABLES,
     TARGET,
+    DecaySlope,
     checked_decay,
+    decay_curve_db,
     observable,
     parameter_label,
 )
@@ -504,9 +506,14 @@ def values_of_decays(
     arguments are those of `of_decays`.
     """
     values = np.empty((len(match), *energy.shape[:-1]))
+    of_slopes = any(isinstance(OBSERVABLES[name], DecaySlope) for name in match)
+    level = decay_curve_db(energy) if of_slopes else energy
     for row, name in zip(values, match, strict=True):
         kind = OBSERVABLES[name]
-        value = kind.value(energy, bin_width)
+        if isinstance(kind, DecaySlope):
+            value = kind.of_decay(energy, level, bin_width)
+        else:
+            value = kind.value(energy, bin_width)
         row[:] = kind.observed(value) if kind.logarithmic else value
         if (lost := ~np.isfinite(row)).any():
             first = tuple(np.argwhere(lost)[0].tolist())

@@ -121,8 +121,6 @@ class Aperture:
         and ``bin_width`` is in s. ``rate`` (n_bands,) is the `decay_rate` of ``energy`` in 1/s; None if
         it must be computed. The result has more bins if the second room decays more slowly.
         """
-        from scipy.signal import lfilter
-
         first = decay_rate(energy, bin_width) if rate is None else rate
         second = self.second_rate(room)
         c = room.speed_of_sound
@@ -144,14 +142,20 @@ class Aperture:
         reverberant = decays.copy()
         reverberant[..., 0] = 0.0  # the second room takes no direct sound
         mean = reverberant.mean(axis=1)
-        back = np.empty_like(mean)
-        for k, (of_slow, of_fast) in enumerate(zip(slow, fast, strict=True)):
-            both = [
-                lfilter([1.0], [1.0, -np.exp(-rate * bin_width)], mean[:, k])
-                for rate in (of_slow, of_fast)
-            ]
-            back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (of_fast - of_slow)
+        rates = np.stack([slow, fast])[:, np.newaxis, :, np.newaxis]
+        late, early = _decaying(mean, np.exp(-rates * bin_width))
+        back = (exchange * bin_width / (fast - slow))[:, np.newaxis] * (late - early)
         return np.asarray((decays + back[:, np.newaxis]).reshape(-1, *decays.shape[2:]))
+
+
+def _decaying(values: Array, factor: Array) -> Array:
+    """Return y with y_n = x_n + ``factor`` y_(n-1) along the last axis of the values x."""
+    out, step = values + np.zeros_like(factor), 1
+    # Sums of 2, 4, 8, ... values. SciPy's filters take half a second to import.
+    while step < out.shape[-1]:
+        out[..., step:] += factor * out[..., :-step]
+        factor, step = factor**2, 2 * step
+    return np.asarray(out)
 
 
 def decay_rate(energy: Array, bin_width: float) -> Array:
