@@ -103,14 +103,16 @@ _LEGEND = (
     "trial draws the true ones.",
     "BASE: not calibrated. REF: all coefficients scaled by the same factor. LSE: the smallest changes. "
     "MLE: the likeliest changes.",
-    "error: root mean square error of a coefficient over all rooms and trials (AACE).",
+    "error: root mean square error of a coefficient over all rooms and trials (the paper's "
+    "AACE).",
     "score: by how much the error is smaller than that of BASE. ±: its standard error.",
     "bounded: alpha is kept from 0 to 1, which the paper does not do.",
     "paper: the score in Bellows & Katz (2025).",
 )
 _SAMPLINGS: dict[Sampling, str] = {
-    "sigma_r": "sampling: the input alpha lie between 2 sigma_R and 1 - 2 sigma_R. This gives the "
-    "paper's Table 2, and is inferred from it alone. Its text says 2 sigma_n: --sampling sigma_n.",
+    "sigma_r": "sampling: the input alpha lie between 2 sigma_R and 1 - 2 sigma_R, which gives the "
+    "paper's Table 2. The paper's text has 2 sigma_n in place of 2 sigma_R: for this give --sampling "
+    "sigma_n.",
     "sigma_n": "sampling: the input alpha lie between 2 sigma_n and 1 - 2 sigma_n, with the surface's "
     "own sigma_n, as the paper's text reads. Its Table 2 agrees with --sampling sigma_r.",
 }
@@ -287,8 +289,8 @@ def _table_1() -> Table:
     ]
     title = (
         "Table 1: expected mean squared error of a coefficient in one room, times 10,000. The paper "
-        "prints mu and sigma of this room rounded. Of the values that round to these, 98 % give an "
-        "error in the range."
+        "prints mu and sigma of this room rounded, so the error has a range: it contains the error of 98 "
+        "% of the mu and sigma that round to the printed ones."
     )
     return Table(["paper", "range"], rows, title, "method")
 
