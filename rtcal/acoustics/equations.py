@@ -420,7 +420,7 @@ class Millington(MeanEquation):
             return np.asarray(-np.log1p(-np.asarray(alpha, dtype=float)))
 
     def coefficient(self, contribution: Array) -> Array:
-        """Return the absorption coefficient 1 - exp(-``contribution``) of a wall, given its exponent."""
+        """Return 1 - exp(-contribution), the absorption coefficient of a wall with this exponent."""
         return np.asarray(-np.expm1(-np.asarray(contribution, dtype=float)))
 
     def contribution_slope(self, alpha: Array) -> Array:

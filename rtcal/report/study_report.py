@@ -289,8 +289,8 @@ def _table_1() -> Table:
     ]
     title = (
         "Table 1: expected mean squared error of a coefficient in one room, times 10,000. The paper "
-        "prints mu and sigma of this room rounded, so the error has a range: it contains the error of 98 "
-        "% of the mu and sigma that round to the printed ones."
+        "prints mu and sigma of this room rounded, so the error has a range: it contains the error of "
+        "98 % of the mu and sigma that round to the printed ones."
     )
     return Table(["paper", "range"], rows, title, "method")
 
