@@ -103,8 +103,7 @@ _LEGEND = (
     "trial draws the true ones.",
     "BASE: not calibrated. REF: all coefficients scaled by the same factor. LSE: the smallest changes. "
     "MLE: the likeliest changes.",
-    "error: root mean square error of a coefficient over all rooms and trials (the paper's "
-    "AACE).",
+    "error: root mean square error of a coefficient over all rooms and trials (the paper's AACE).",
     "score: by how much the error is smaller than that of BASE. ±: its standard error.",
     "bounded: alpha is kept from 0 to 1, which the paper does not do.",
     "paper: the score in Bellows & Katz (2025).",
