@@ -243,6 +243,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "check each area, the volume and the dimensions before anything else: every coefficient is "
         "computed with them",
     ),
+    "gap_before": (
+        "",
+        "what is predicted from there is not of the measured room: check T, areas and sigma of every "
+        "measured state",
+    ),
     "fixed": (
         "",
         "no coefficient can move: give uncertain coefficients a sigma above 0, or the file a [prior]",

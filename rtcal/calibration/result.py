@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.acoustics import room_errors
+from rtcal.acoustics import bands, room_errors
 from rtcal.acoustics.changes import Change, facing
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.marks import (
@@ -23,6 +23,7 @@ from rtcal.acoustics.marks import (
     TrustMark,
     gap_jnd,
     likely_slips,
+    mark,
     of_input,
     plausibility,
     trust_marks,
@@ -798,6 +799,18 @@ class CalibrationResult(Result):
         with np.errstate(invalid="ignore"):
             same = np.abs(time / own.time - 1) < _SAME_TIME
         measured = np.isfinite(own.time) & joint.asks_for_measured_time
+        gap = np.nan_to_num(np.abs(gap_jnd(time, own.time)))
+        unstated = room_errors.Assumptions().time
+        u = np.where(np.isnan(own.log_uncertainty), unstated, own.log_uncertainty)
+        allowed = np.maximum(1.0, np.nan_to_num(gap_jnd(own.time * (1 + 2 * u), own.time)))
+        doubts, far = self.doubts, measured & (gap > allowed)
+        if far.any():
+            k = int(np.argmax(np.where(far, gap, 0.0)))
+            text = (
+                f"at {bands.label(room.centre_frequencies[k])} the calibrated model has a T of "
+                f"{time[k]:.2f} s in place of the measured {own.time[k]:.2f} s"
+            )
+            doubts = (*doubts, mark("gap_before", None, text))
         return KnownRoom(
             room=room,
             equation=self.equation,
@@ -810,7 +823,7 @@ class CalibrationResult(Result):
             exact=bool(same[measured].all()),
             log_uncertainty=own.log_uncertainty,
             others=tuple(states),
-            doubts=self.doubts,
+            doubts=doubts,
         )
 
     def predict(

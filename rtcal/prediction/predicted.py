@@ -517,6 +517,12 @@ def predict(
         assumptions=assumptions or Assumptions(),
     )
     prediction.refuse()
+    by_program = simulated is not None and np.nan_to_num(simulated.log_ratio).any()
+    if by_program and not prediction.by_equation_alone.log_ratio().any():
+        raise DataError(
+            f'"{prediction.name}": the program has another T after the change, but nothing of the '
+            "room changes: state the change ([[variant.change]])"
+        )
     return prediction
 
 
@@ -564,7 +570,7 @@ class Predictions(Result):
         )
         common = [said for said in every[0].sentences if all(said in p.sentences for p in every)]
         own = [(p.name, s) for p in every for s in p.sentences if s not in common]
-        found: list[Block] = [Note(head) for p in every for head in p.heads]
+        found: list[Block] = [*map(Note, dict.fromkeys(head for p in every for head in p.heads))]
         found += map(Note, words.in_order([*words.joined(own), *common]))
         found += [Table(labels, every[0].rows[:2]), *beside]
         chosen = ("90 %", "      ", "change / %", f"{every[0].known.equation.name}'s")

@@ -292,3 +292,27 @@ def test_a_prediction_shows_what_a_pocket_calculator_gives() -> None:
     low, high = made.interval
     assert low[0] < row.values[0] < high[0]
     assert "alone / s" not in str(found.predict([]))
+
+
+def test_two_states_of_one_room_with_two_t_are_doubted_before_a_prediction(cr2) -> None:
+    """T before was 2.2 s, where 1.25 s were measured, without a word."""
+    room, measured = cr2
+    t = rt.calibrate(room, measured).reverberation_time_after
+    both = rt.Configurations([room, room], ["first", "second"])
+    joint = rt.calibrate(both, [t, 2 * t], method="joint")
+    again = rt.calibrate(both, [t, 1.02 * t], method="joint")
+    for found, doubted in ((joint.results[0], True), (again.results[0], False)):
+        for made in (str(found.predict([])), found.predict([]).doubts):
+            assert ("in place of the measured" in str(made)) == doubted
+
+
+def test_a_programs_change_needs_a_change_of_the_room(cr2) -> None:
+    """The program's T after was ignored: nothing changed."""
+    room, measured = cr2
+    found = rt.calibrate(room, measured)
+    t = found.reverberation_time_after
+    before, half = (rt.Measurement.from_values(room.centre_frequencies, t20=x) for x in (t, t / 2))
+    run = rt.Run(room, before)
+    assert found.predict([], run=run, run_after=before).mean == pytest.approx(t)
+    with pytest.raises(DataError, match="nothing of the room changes"):
+        found.predict([], run=run, run_after=half)
