@@ -108,6 +108,7 @@ def test_the_loop_goes_on_from_a_file(cr2, tmp_path):
         loop.record(alpha, simulator.simulate(alpha)).save(path)
     loop = closed_loop.Loop.load(path, room)
     assert loop.finished
+    assert loop.simulations == whole.simulations
     for mine, step in zip(loop.steps, whole.steps, strict=True):
         assert mine.alpha == pytest.approx(step.alpha, rel=1e-9)
 
