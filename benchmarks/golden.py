@@ -693,6 +693,9 @@ class Differences:
                     self.lines.append(f"{at}: {'new' if key in now else 'gone'}")
                 else:
                     self.add(before[key], now[key], tolerance, at)
+        elif old is None and _alike(before, now):
+            for i, pair in enumerate(zip(before, now, strict=True)):
+                self.add(*pair, tolerance, f"{place} [{i}]")
         elif old is None or new is None:
             if json.dumps(before) != json.dumps(now):
                 self.lines.append(f"{place}: {before} -> {now}")
@@ -723,6 +726,11 @@ class Differences:
             self.lines.append(f"{place}: {old.item():.6g} -> {new.item():.6g}, by {most:.2g}")
         else:
             self.lines.append(f"{place}: {far.sum()} of {old.size} numbers, by {most:.2g} at most")
+
+
+def _alike(before: Any, now: Any) -> bool:
+    """Whether two figures are lists of one length."""
+    return isinstance(before, list) and isinstance(now, list) and len(before) == len(now)
 
 
 def _numbers(value: Any) -> np.ndarray | None:

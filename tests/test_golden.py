@@ -33,6 +33,10 @@ def test_each_figure_that_moved_is_printed() -> None:
     ]
     assert lines({"a": [1.0, None]}, {"a": [1.0, 2.0]}) == ["a: 1 of 2 numbers, by 0 at most"]
     assert lines({"a": 1, "b": 2}, {"a": 1, "c": 2}) == ["b: gone", "c: new"]
+    # Of a list with a list in it each member is compared.
+    assert lines({"a": [1.0, [2.0, 3.0]]}, {"a": [1.0 + 1e-12, [2.0, 4.0]]}) == [
+        "a [1]: 1 of 2 numbers, by 1 at most"
+    ]
 
 
 def test_rounding_is_counted_and_has_not_moved() -> None:
