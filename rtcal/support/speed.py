@@ -5,7 +5,7 @@ with `compiled`, and are imported where they are first used.
 
 Factoring a matrix of a hundred rows takes less time than waking a second thread. On a machine with
 busy cores the second thread also waits for a core, so that `find` takes more than ten times as long
-(benchmarks/threads.py).
+(benchmarks/threads.py in commit 2621e9c7).
 """
 
 from __future__ import annotations

@@ -105,7 +105,8 @@ SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 place, so that the field is less even than its equation assumes. Chosen on simulated rooms
 (docs/discrepancy.md)."""
 LARGEST_FEATURES = 1000
-"""Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
+"""Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py in
+commit 2621e9c7)."""
 LARGEST_HYPOTHESES = 5000
 """Largest number of hypotheses: 12 per material and some 450 more, so that 370 materials are
 possible."""
