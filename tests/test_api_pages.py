@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+import rtcal as rt
 from tests.test_docs import public_names
 
 griffe = pytest.importorskip("griffe", reason="needs the extra docs")
@@ -68,6 +69,11 @@ def test_a_page_shows_nothing_that_is_neither_exported_nor_named() -> None:
 
 def test_every_entry_shows_something() -> None:
     assert [entry for entry in entries() if not shown(entry)] == []
+
+
+def test_the_overview_has_every_name_of_the_top_level() -> None:
+    overview = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
+    assert [name for name in rt.__all__ if f"`rt.{name}`" not in overview] == []
 
 
 def test_a_member_that_needs_what_no_user_has_is_not_shown() -> None:
