@@ -370,7 +370,7 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
         calibrates them by path tracing to half of the pairs (positions).
     seeds : sequence of int
         For values at positions: seeds of the simulator, whose spread shows its noise; (0,) by default.
-    cache, progress, scheduler
+    cache, progress, scheduler : path, function, str
         For values at positions: arguments as for `rtcal.find`.
     before, after : Measurement
         For two measurements of the room: measurements with further pairs, which the finding predicts.
