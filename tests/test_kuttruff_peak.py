@@ -88,3 +88,12 @@ def test_near_the_peak_there_is_an_answer_for_every_method(below, uncertain, met
     assert str(result)
     other = rt.calibrate(given, t, method, KUTTRUFF, solver="osqp")
     np.testing.assert_allclose(other.alpha, result.alpha, rtol=0, atol=1e-8)
+
+
+def test_band_without_time_beyond_the_peak_has_no_time_after() -> None:
+    given = room([0.93, 0.3])
+    result = rt.calibrate(given, [np.nan, 0.4], equation=KUTTRUFF)
+    assert np.isnan(result.reverberation_time_after[0])
+    assert np.isnan(result.air_share[0])
+    assert str(result)
+    assert result.to_json()

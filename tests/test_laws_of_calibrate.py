@@ -137,3 +137,11 @@ def test_another_room_of_a_problem_has_its_bands():
     other = room.replace(centre_frequencies=[100, 200, 400, 800, 1600, 3150])
     with pytest.raises(DataError, match="other bands than the problem was built with"):
         problem.solve(measured, other)
+
+
+def test_what_is_known_before_a_change_is_measured_where_t_was() -> None:
+    room, measured = rt.datasets.bras_cr2()
+    t = measured.reverberation_time.copy()
+    t[1] = np.nan
+    known = rt.calibrate(room, t).known
+    assert known.measured.tolist() == [True, False, True, True, True, True]

@@ -140,3 +140,10 @@ def test_numbers_that_do_not_belong_are_refused():
     with pytest.raises(DataError, match="columns"):
         narrow = terms.Observed(matrix=np.ones((2, 3)), values=[1, 2], covariance=np.eye(2))
         problem.solve(None, observed={TERM: narrow})
+
+
+def test_rounding_beside_the_diagonal_is_no_asymmetry():
+    covariance = np.eye(3)
+    covariance[0, 1] = 1e-17
+    numbers = terms.Observed(matrix=np.eye(3), values=np.zeros(3), covariance=covariance)
+    np.testing.assert_allclose(numbers.factor, np.eye(3), atol=1e-15)
