@@ -162,6 +162,23 @@ def printed(_: Path) -> Measured:
     return {"ms": 1e3 * (said := spent(lambda: str(result))), "over calibrate": said / own}
 
 
+def smooth(_: Path) -> Measured:
+    """Solve smooth problems a second time, beside plain cvxpy."""
+    from resolve import Plain, case
+
+    import rtcal as rt
+
+    out = {}
+    for n, bands in ((23, 8), (500, 27)):
+        of = case(n, bands, 0, "smooth")
+        result, plain = rt.calibrate(*of, method="smooth"), Plain("smooth", n, bands)
+        at = of[0], result.target, result.target_uncertainty
+        plain.solve(*at, "smooth")
+        own = spent(lambda: rt.calibrate(*of, method="smooth"))  # noqa: B023
+        out[f"{n} x {bands}"] = own / spent(lambda: plain.solve(*at, "smooth"))  # noqa: B023
+    return out
+
+
 def fit(_: Path) -> Measured:
     """Fit a path tracing to every position of three boxes."""
     import rtcal as rt
@@ -198,7 +215,10 @@ def fit(_: Path) -> Measured:
 
 ROWS: dict[str, Callable[[Path], Measured]] = {
     of.__name__: of
-    for of in (find_at_positions, find_again, find_of_means, calibrate, printed, large_mesh, fit)
+    for of in (
+        *(find_at_positions, find_again, find_of_means, calibrate),
+        *(printed, smooth, large_mesh, fit),
+    )
 }
 
 
