@@ -130,13 +130,24 @@ def _named_by(one: griffe.Object) -> Iterator[griffe.Object]:
         yield from _types(one, expression)
 
 
+def _is_type_variable(one: griffe.Object) -> bool:
+    """Return whether an object is a type variable, which no reader of a page needs."""
+    value = one.value if one.is_attribute else None
+    return isinstance(value, griffe.ExprCall) and str(value.function) == "TypeVar"
+
+
 def _types(one: griffe.Object, expression: str | griffe.Expr | None) -> Iterator[griffe.Object]:
     """Return the classes of the package in an annotation, and those behind an alias of types."""
     if not isinstance(expression, griffe.Expr):
         return
     for name in expression.iterate(flat=True):
         named = _found(one, name.canonical_path) if isinstance(name, griffe.ExprName) else None
-        if named is None or named.is_module or not named.parent.is_module:
+        if (
+            named is None
+            or named.is_module
+            or not named.parent.is_module
+            or _is_type_variable(named)
+        ):
             continue
         yield named
         if named.is_attribute and not isinstance(named.value, griffe.ExprCall):

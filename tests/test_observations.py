@@ -155,9 +155,9 @@ def registry():
         ({"teams": (0.05,) * 8}, "teams has 8 values; give one for each of 125, 250, 500, 1000"),
         (
             {"gradient": lambda self, *decay: -observable("d50").gradient(*decay)},
-            r"gradient at \d\S* s = .*; finite differences of its value give",
+            r"gradient by the energy of the time bin at \d\S* s = .* value changes by",
         ),
-        ({"gradient": lambda self, energy, *_: np.nan * energy}, "gradient at .* = nan;"),
+        ({"gradient": lambda self, energy, *_: np.nan * energy}, "gradient by .* = nan, but"),
     ],
 )
 def test_a_wrong_observable_is_not_registered(registry, attributes, message):

@@ -133,6 +133,8 @@ def labels(frequencies: Iterable[float]) -> list[str]:
 def span(frequencies: Sequence[float] | Array) -> str:
     """Return the number of bands, and the first and the last of them in Hz, as words of a sentence.
 
+    ``frequencies`` are the bands' centre frequencies in Hz, rising.
+
     Examples
     --------
     >>> span([125, 250, 500]), span([1000])

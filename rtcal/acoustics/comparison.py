@@ -45,6 +45,10 @@ class Comparison(Result):
     `deviation`, `uncertainty` and `disagrees` are mappings from a parameter, such as ``"t20"``, to
     values (n_bands,) for the means over the pairs. `at_pairs` has values (n_pairs, n_bands). Deviations
     are in just noticeable differences (JND). `sentence` says what disagrees, by how much and where.
+
+    ``run`` is the simulation, ``measured`` the measurement, and ``equation`` the reverberation equation
+    with which the share of the coefficients in a deviation is calculated. ``of_equation`` is True if
+    the run is T of the equation itself and no program's.
     """
 
     record_kind: ClassVar[str] = "comparison"

@@ -121,6 +121,8 @@ class MeanEquation(ReverberationEquation):
     E is the method `exponent` and h the method `contribution`. In Sabine's equation both are the
     identity, in Eyring's E(mean) = -ln(1 - mean), in Millington's h(alpha) = -ln(1 - alpha). They take
     arrays of any shape, element by element.
+
+    ``speed_of_sound`` c in m/s is by default the room's, by its air.
     """
 
     largest_alpha: ClassVar[float] = np.inf
@@ -191,6 +193,8 @@ class LinearEquation(MeanEquation):
 
     The absorption area S'alpha is the sum of area times coefficient in m². A calibration needs such an
     equation, because the measured T then gives the absorption area.
+
+    ``speed_of_sound`` in m/s is by default the room's, by its air.
     """
 
     @property
@@ -326,6 +330,8 @@ class Eyring(LinearEquation):
 
     T = k V / (S a + 4 m V), with k = 24 ln 10 / c (Eyring 1930; Bellows & Katz 2025, Eqs. 3, 6).
 
+    ``speed_of_sound`` c in m/s is by default the room's, by its air.
+
     Examples
     --------
     >>> from rtcal.acoustics.room import Room
@@ -370,6 +376,8 @@ class Sabine(LinearEquation):
 
     T = k V / (S mean alpha + 4 m V), k = 24 ln 10 / c (Sabine 1922; Bellows & Katz 2025, Eqs. 2, 5).
 
+    ``speed_of_sound`` c in m/s is by default the room's, by its air.
+
     Examples
     --------
     >>> from rtcal.acoustics.equations import PAPER_SPEED_OF_SOUND
@@ -394,6 +402,8 @@ class Millington(MeanEquation):
     zero. T equals Eyring's if and only if all coefficients are equal. Rooms with the same T can differ
     in absorption area (the sum of S_i alpha_i), so that `rtcal.calibrate` cannot use this equation: use
     `rtcal.calibrate_simulator`, which repeats simulation and calibration in turn.
+
+    ``speed_of_sound`` c in m/s is by default the room's, by its air.
 
     References
     ----------
@@ -550,6 +560,8 @@ class Fitzroy(_AxisEquation):
     T = sum (S_x / S) T_x,  T_x = (24 ln 10 / c) V / (-S ln(1 - alpha_x) + 4 m V), where S_x is the area
     of the surfaces perpendicular to axis x, and alpha_x their mean absorption coefficient.
 
+    ``speed_of_sound`` c in m/s is by default the room's, by its air.
+
     References
     ----------
     D. Fitzroy, J. Acoust. Soc. Am. 31, 893-897 (1959).
@@ -573,6 +585,8 @@ class ArauPuchades(_AxisEquation):
 
     T = product T_x^(S_x / S). S_x is the area of the surfaces perpendicular to axis x, and T_x is as in
     `Fitzroy`.
+
+    ``speed_of_sound`` c in m/s is by default the room's, by its air.
 
     References
     ----------

@@ -86,6 +86,9 @@ class Plausibility:
     ``z`` is the deviation in each band in standard deviations, ``q`` the sum of its squares, and
     ``p_value`` the result of the chi-square test of q with ``degrees_of_freedom``. The deviation after
     a calibration cannot show this agreement, because calibration removes it.
+
+    ``p_together`` is the p-value if the coefficients may also be too high or too low together, None
+    where this is not known.
     """
 
     z: Array
@@ -861,7 +864,10 @@ def trust_marks(
 
 
 def letters(marks: Sequence[TrustMark], frequency: float) -> str:
-    """Return the letters of the cautions about a band, without repeats; "" if it has none."""
+    """Return the letters of the cautions about a band, without repeats; "" if it has none.
+
+    ``marks`` are the cautions, and ``frequency`` is the band's centre frequency in Hz.
+    """
     return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
 
 
@@ -904,7 +910,8 @@ def _together(texts: Sequence[str]) -> list[str]:
 def cautions(marks: Sequence[TrustMark], *, lettered: bool = True) -> list[str]:
     """Return the cautions as texts, grouped by advice: "Caution [s] 125 Hz: facts. Advice.".
 
-    The letters are those of a table of bands; ``lettered`` is False where none is printed.
+    ``marks`` are the cautions. The letters are those of a table of bands; ``lettered`` is False where
+    no such table is printed, by default True.
     """
     return [
         f"Caution{f' [{first.letter}]' if first.letter and lettered else ':'} {'; '.join(facts)}. "

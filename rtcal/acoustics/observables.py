@@ -142,7 +142,10 @@ class Observable(ABC):
         return np.asarray((self.rate(observed) - at) / np.abs(at))
 
     def linear_slope(self, observed: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by the observed quantity, from small differences."""
+        """Return the derivative of `linear` by the observed quantity, from small differences.
+
+        ``observed`` and ``stated`` are the arguments of `linear`.
+        """
         step = _STEP * np.maximum(np.abs(observed), 0.1)
         rise = self.rate(observed + step) - self.rate(observed - step)
         return np.asarray(rise / (2 * step * np.abs(self.rate(stated))))
@@ -232,6 +235,8 @@ class Observable(ABC):
         """Return the theoretical variance of a mean over positions, (n_bands,).
 
         It is NaN for parameters other than T20 and T30; see `DecaySlope.variance_of_mean`.
+        ``frequencies`` are in Hz, ``mean`` is the mean in the parameter's unit, and ``positions`` the
+        number of positions, (n_bands,) each. ``decays`` is the number of decays per position.
         """
         return np.full(np.shape(mean), np.nan)
 
@@ -322,9 +327,10 @@ def _check_gradient(observable: Observable) -> None:
     k = int(np.argmax(np.abs(stated - found)))
     if not abs(stated[k] - found[k]) <= 0.01 * np.abs(found).max():
         raise DataError(
-            f'observable "{observable.key}": gradient at {width * k:g} s = '
-            f"{stated[k] / energy[k]:g}; finite differences of its value give "
-            f"{found[k] / energy[k]:g}"
+            f'observable "{observable.key}": gradient by the energy of the time bin at '
+            f"{width * k:g} s = {stated[k] / energy[k]:g}, but if this energy changes a little, "
+            f"{'ln value' if observable.logarithmic else 'value'} changes by "
+            f"{found[k] / energy[k]:g} per unit of energy. Correct the method gradient, or value"
         )
 
 

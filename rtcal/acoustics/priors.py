@@ -113,6 +113,9 @@ class SigmaRule:
     also includes sigma_R of ISO 12999-2. The factor allows for another specimen, mounting, age or paint
     than that of the stated coefficients.
 
+    ``relative`` (default 0.3) is a share of alpha, and ``minimum`` (default 0.01) a coefficient.
+    ``in_situ_factor`` (default 1) is the factor for another specimen, mounting, age or paint.
+
     Raises
     ------
     DataError

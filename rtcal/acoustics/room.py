@@ -622,6 +622,9 @@ class Surface:
 
     ``axis`` is ``"x"``, ``"y"`` or ``"z"``. Only equations that treat the axes apart (Fitzroy,
     Arau-Puchades) need it.
+
+    ``name`` is the name of the surface, ``material`` that of its material, and ``area`` is in m², above
+    0.
     """
 
     name: str

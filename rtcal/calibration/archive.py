@@ -75,6 +75,12 @@ class Spread:
 
     Five numbers are standard deviations and one is a correlation. `learn` fits them to the T of all
     rooms by maximum marginal likelihood with a weak prior.
+
+    ``table`` is the standard deviation of a handbook value's error that all rooms have in common, and
+    ``between`` that of a material's deviation in one room from the others, both in units of the input
+    sigma. ``room`` and ``together`` are those of the relative error that all coefficients of one room,
+    and all handbook values, have in common. ``equation`` is the relative error of the equation's
+    absorption area. ``correlation`` is that of one material's errors in bands an octave apart.
     """
 
     table: float
@@ -264,6 +270,11 @@ class Lesson:
 
     ``factor`` is by how much all its coefficients differ from the archive's (0.1 is 10 % more), and
     ``p_value`` is that of its T given the other rooms.
+
+    ``room`` is the room's name. ``factor_sigma`` is the standard deviation of ``factor``. ``q`` is the
+    chi-square of the room's T against the prediction from all other rooms, with ``degrees_of_freedom``.
+    ``taught`` (0 to 1) is the share by which the room reduced the standard deviations of its materials'
+    means.
     """
 
     room: str
@@ -284,6 +295,9 @@ class Suspect:
     """Name a material of one room that is probably another material than its name says.
 
     ``instead`` is the material of the archive that fits better; "" if none does.
+
+    ``room`` and ``material`` are names. ``probability`` is that of another material; it is 0.01 before
+    the data.
     """
 
     room: str

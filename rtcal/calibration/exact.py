@@ -86,9 +86,12 @@ def solve(
         ``alpha`` (..., n), the ``multiplier`` D (...) in 1/m², and a ``status`` (...) per problem: 0
         solved, 1 or 2 if b is below or above what the bounds allow, 3 for invalid values: NaN, a
         negative area, a negative sigma or one below 1e-140, lower above upper, or a fixed mu outside
-        the bounds. With a status other than 0, alpha and D are NaN. Rounding is allowed for: b counts
-        as the least or largest reachable value within 16 n eps sum |S bound| of it, where eps is
-        2.2e-16. D is then the nearest to 0 that is optimal.
+        the bounds. With a status other than 0, alpha and D are NaN.
+
+        The bounds allow b from b_min = sum S lower to b_max = sum S upper. Because sums are rounded, a
+        b that is beyond b_min or b_max by at most 16 n eps sum |S bound|, with eps = 2.2e-16, counts as
+        equal to it and has the status 0. All coefficients are then at their bounds, which many values
+        of D give; the one nearest to 0 is returned.
 
     Raises
     ------

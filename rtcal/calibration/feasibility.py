@@ -36,6 +36,8 @@ class Unreachable:
     allow absorption areas from ``lowest`` to ``highest`` in m² and T from ``shortest`` to ``longest``
     in s. ``configuration`` is the number of the measured state, from 0, and ``frequency`` the centre
     frequency in Hz.
+
+    ``reverberation_time`` is the measured T in s.
     """
 
     configuration: int

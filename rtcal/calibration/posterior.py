@@ -41,7 +41,14 @@ _SINGLE = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Probability distribution of the coefficients, given the measurement."""
+    """Probability distribution of the coefficients, given the measurement.
+
+    ``alpha`` are the calibrated coefficients, ``mean`` and ``sigma`` the distribution's means and
+    standard deviations, and ``prior_sigma`` the standard deviations before the measurement,
+    (n_materials, n_bands) each. ``correlation`` is that between materials in each band. ``points`` are
+    quantiles, ``samples`` random coefficients, and ``effective_samples`` how many independent ones have
+    the same accuracy. ``effects`` has samples of each further unknown by name.
+    """
 
     alpha: Array
     """Calibrated coefficients, (n_materials, n_bands)."""

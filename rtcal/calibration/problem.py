@@ -202,6 +202,9 @@ class CalibrationProblem(Composition, Generic[R]):
 
     If it was compiled for a room, `solve` returns a `CalibrationResult`; if for `Configurations`, a
     `JointResult`.
+
+    ``room`` is that room, or these configurations; ``objective``, ``constraints`` and ``equation`` are
+    those of the `rtcal.Calibration`.
     """
 
     def __repr__(self) -> str:

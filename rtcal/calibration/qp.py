@@ -104,10 +104,11 @@ class CompiledProblem:
         problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions])
         if not problem.is_dcp(dpp=True):
             raise ModelError(
-                "the composed problem breaks cvxpy's rules for parameters (DPP): a term "
-                "is not convex, or it multiplies or divides parameters. Write a product "
-                "of numbers as one m.parameter, and an expression as a variable with "
-                "m.defined"
+                "cvxpy cannot compile the objective or a constraint, because a term is not "
+                "convex, or multiplies or divides two quantities that depend on room or "
+                "measurement, such as m.alpha, m.target or your m.parameter. Compute a product of "
+                "two of your parameters in one m.parameter(shape, compute); in a product of "
+                "m.alpha and a parameter p write p * m.defined(m.alpha)"
             )
         for parameter, _ in m.parameters:  # cvxpy compiles none without a value
             parameter.save_value(np.ones(parameter.shape))
@@ -710,6 +711,11 @@ class Certificate:
 
     At the optimum the three residuals are 0 (KKT conditions). They are calculated from the programme's
     numbers, not taken from the solver.
+
+    ``primal_residual`` is the largest violation of a match or bound, ``dual_residual`` the largest
+    unbalanced gradient, and ``duality_gap`` the sum of multipliers times distances from bounds.
+    ``alpha_error_bound`` (n_materials, n_bands) is the largest possible error of each coefficient.
+    ``accepted`` is True if the residuals are at most 1e-9.
     """
 
     primal_residual: float

@@ -87,7 +87,11 @@ coefficient that T alone determines contradict the next T by millions of standar
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointResult(Result):
-    """Calibration of several configurations of a room, which share their coefficients."""
+    """Calibration of several configurations of a room, which share their coefficients.
+
+    ``unreachable`` are the bands whose measured T no coefficients within their bounds give, ``method``
+    is the key of the calibration method, and ``solver`` the name of the solver.
+    """
 
     record_kind: ClassVar[str] = "joint 1"
 

@@ -846,6 +846,8 @@ class Shared:
 
     When to use it: when one material has several names. The materials become one, with the sum of their
     areas, and their input coefficients, which must be equal, count once.
+
+    ``materials`` are the names of the room's materials, two or more.
     """
 
     materials: tuple[str, ...]

@@ -422,6 +422,14 @@ class Numbers:
     unknowns are (size,), in the order of ``layout``. ``time`` is the measured T in s and ``target`` the
     absorption area b in m² that T needs, with its standard uncertainty in m² and its sensitivity
     |db/dT| in m²/s. All four are (n_configurations, n_bands), NaN where T is missing.
+
+    ``areas`` (n_configurations, n_alpha_rows) are in m², 0 where a configuration lacks the material.
+    ``gains`` (n_configurations, n_bands, n_further) are the m² that one unit of each effect adds.
+    ``target_uncertainty`` and ``target_sensitivity`` are that uncertainty and that sensitivity; the
+    latter is infinite where T does not determine b. ``equation`` turned T into b. ``rooms`` has one
+    room per configuration. ``observed`` has the values of `LinearObservations` terms. ``room_changes``
+    (n_changes, n_times) are the changes of b in m² by one standard deviation of each error of the
+    rooms. ``common`` is the relative standard deviation that all coefficients have in common.
     """
 
     layout: Layout

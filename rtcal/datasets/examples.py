@@ -90,7 +90,11 @@ def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Example:
-    """Hold the files of a small project by name, and the commands to run in their folder, in order."""
+    """Hold the files of a small project by name, and the commands to run in their folder, in order.
+
+    ``files`` maps the name of each file to its content in bytes, and ``commands`` are lines to type
+    into a terminal.
+    """
 
     files: Mapping[str, bytes]
     commands: tuple[str, ...]

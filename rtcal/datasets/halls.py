@@ -30,6 +30,9 @@ class Hall:
     """Hold a hall to simulate: geometry, room, and named sources and receivers (x, y, z in m).
 
     ``held_out`` are the names of receivers that a calibration must not use.
+
+    ``geometry`` is the hall's mesh, ``room`` has its materials and coefficients, and ``sources`` and
+    ``receivers`` map names to positions.
     """
 
     geometry: Polyhedron

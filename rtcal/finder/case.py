@@ -168,6 +168,8 @@ class ChangedMaterial:
 
     For pieces such as persons, both are absorption areas in m² per piece. Raises DataError for a value
     that is not from 0 to 1; for pieces from 0 to the largest area that rtcal allows for a piece.
+
+    ``alpha`` are the coefficients and ``sigma`` their standard deviations.
     """
 
     alpha: Array
@@ -188,9 +190,18 @@ class ChangedMaterial:
 class Configuration:
     """Hold one measurement of a room, and what was changed in the room for this measurement.
 
-    ``measured`` are means over positions, and ``changes`` has the materials with other coefficients
-    than the room's, such as a wall behind a closed curtain. Raises DataError for a value of the wrong
-    kind; the message names the place and the value.
+    ``name`` is its name in messages. ``measured`` are means over positions, and ``changes`` has the
+    materials with other coefficients than the room's, such as a wall behind a closed curtain.
+    ``suspect_removed`` is True if the object that may be missing from the model was taken out of the
+    room for this measurement. ``air`` is the climate, by default the room's. ``distances`` (n_pairs,)
+    are those from source to receiver in m, by default 0.66 times the cube root of the volume.
+
+    ``planned`` is True if nothing was measured yet and ``measured`` holds placeholders, as
+    `rtcal.finder.plan` uses them. ``simulated`` is a program's run of this configuration, which then
+    takes the place of the reverberation equation. ``left_out`` are sentences about values that were
+    left out; rtcal fills them in.
+
+    Raises DataError for a value of the wrong kind; the message names the place and the value.
     """
 
     name: str
@@ -460,6 +471,13 @@ class Case:
     rtcal compares means over positions with this case. To compare every position see `PositionsCase`;
     to compare measurements before and after a change of the room see `StatesCase`. Raises DataError if
     a value breaks a rule; the message names the place, the value and the rule.
+
+    ``room`` is the room as you enter it, and ``configurations`` are its measurements, at least one.
+    ``equation`` is the key of the reverberation equation, by default "eyring". ``facing`` (n_materials,
+    3) are the shares of each material's area with the normal along x, y and z, by default derived from
+    the room. ``applied`` are effects that `Finding.apply` has added. ``climate_uncertainty`` has the
+    standard uncertainties of the temperature in K and of the relative humidity in %. ``program`` is
+    "geometrical" if a ray-based program made the simulated values, otherwise "".
     """
 
     kind: ClassVar[str] = "means"
@@ -901,6 +919,11 @@ class StatesCase:
     measurements have no pair in common, or no T20 or T30 in a band of the room; if the simulator is of
     another room or does not have a measured pair; or if ``climate_uncertainty`` is given for a room
     without air.
+
+    ``room`` gives volume, areas and air. ``before`` and ``after`` are the measurements. ``equation``
+    turns T into an absorption area, by default Eyring's. ``simulator`` is an optional `PathTracing` of
+    the room, with which each surface is tried. ``climate_uncertainty`` has the standard uncertainties
+    of the temperature in K and of the relative humidity in %, in each state.
 
     Examples
     --------

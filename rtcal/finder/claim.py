@@ -377,6 +377,9 @@ class Candidate:
 
     ``effect`` is its name and ``family`` that of its group. ``size`` is in ``unit``, with the 90 %
     interval ``low`` to ``high``. The ``surface`` is known only if positions were compared.
+
+    ``probability`` is that of this explanation, and ``end`` is "least" or "most" if the data
+    allow any size beyond that end of the sizes that were tried, otherwise "".
     """
 
     effect: str
@@ -475,6 +478,10 @@ class Detection:
     if something is missing from the model than if nothing is. A difference is detected if the score of
     all data, or of one of the ``parts``, exceeds its threshold. Raises ModelError for a score that is
     not a finite number.
+
+    ``score`` is that of all data and ``threshold`` the score that at most 5 % of simulated rooms with
+    nothing missing exceed. For positions, ``noise`` is the ln Bayes factor that one pair is only
+    noisier than assumed, and ``means`` the detection from means over positions.
     """
 
     score: float

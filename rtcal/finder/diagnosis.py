@@ -31,6 +31,8 @@ class Diagnosis(Result):
 
     ``finding`` is what `rtcal.find` found, ``verification`` its check on data that were held out, and
     ``calibrated`` the calibration with the effect in the model.
+
+    ``given`` are the names of the files that were read, first that of the case or room.
     """
 
     record_kind: ClassVar[str] = "diagnosis 1"

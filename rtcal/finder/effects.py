@@ -49,6 +49,10 @@ class Parameter:
     """Describe a parameter of an effect, such as the thickness of a porous layer.
 
     Its fields are the values that are tried, the physical limits, the unit, and words to print.
+
+    ``tried`` are the values that are tried, and ``within`` the smallest and largest possible one.
+    ``unit`` is a text that follows the value. ``words`` are printed in place of the values 0, 1, and so
+    on. ``discrete`` is True if there are no values between those that are tried.
     """
 
     tried: Sequence[float] = ()
@@ -63,7 +67,10 @@ class Parameter:
     """Whether the parameter has no values between those that are tried."""
 
     def shown(self, name: str, value: float) -> str:
-        """Return a parameter's value as text: ``thickness 0.06 m``, or the word for the value."""
+        """Return a parameter's value as text: ``thickness 0.06 m``, or the word for the value.
+
+        ``name`` is the parameter's name, and ``value`` is in its `unit`.
+        """
         if value in range(len(self.words)):
             return self.words[int(value)]
         return f"{name.replace('_', ' ')} {rounded(value, 3)}{' ' * bool(self.unit)}{self.unit}"
@@ -210,19 +217,26 @@ class Effect(ABC):
         return self.odds
 
     def title(self, parameters: Parameters, room: Room) -> str:
-        """Return the effect's name for a sentence, such as ``area of "plaster"``."""
+        """Return the effect's name for a sentence, such as ``area of "plaster"``.
+
+        ``parameters`` are the values by name, and ``room`` has the names of the materials.
+        """
         material = self.material(parameters, room)
         return self.name if material is None else f'{self.name} of "{material}"'
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
         """Return the name of the material that the effect is about, such as that with a wrong area.
 
-        None if the effect is not about one material of the ``room``.
+        ``parameters`` are the values by name. None if the effect is not about one material of the
+        ``room``.
         """
         return None
 
     def unit_in(self, parameters: Parameters, room: Room) -> str:
-        """Return the unit of the effect's size in a room; by default `unit`."""
+        """Return the unit of the effect's size in a room; by default `unit`.
+
+        ``parameters`` are the values by name.
+        """
         return self.unit
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
@@ -245,7 +259,8 @@ class Effect(ABC):
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
         """Return the air of the room with the effect.
 
-        By default it is ``stated``, the room's own air.
+        By default it is ``stated``, the room's own air, None if it does not count. ``parameters`` are
+        the values by name.
         """
         return stated
 
@@ -276,7 +291,8 @@ class Effect(ABC):
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the absorption area in m² that the effect adds to a room, (n_bands,).
 
-        None if the effect adds no absorption. The arguments are the states without and with the effect.
+        None if the effect adds no absorption. ``without`` and ``with_effect`` are the states of the
+        room without and with it.
         """
         return None
 
@@ -313,7 +329,10 @@ class AbsorbingObject(Effect):
         return state.with_objects(parameters[self.size] * each)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area in m² that the objects add, (n_bands,)."""
+        """Return the absorption area in m² that the objects add, (n_bands,).
+
+        ``without`` and ``with_effect`` are the states of the room without and with them.
+        """
         added = with_effect.surface_absorption - without.surface_absorption
         return np.asarray(added + with_effect.objects - without.objects)
 
@@ -337,7 +356,11 @@ class Absorber(AbsorbingObject):
         """
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of all parameters; the area is from 0 to that of all surfaces, in m²."""
+        """Return the limits of all parameters; the area is from 0 to that of all surfaces, in m².
+
+        The surfaces are those of ``room``; if it is None, the limit is the largest area that rtcal
+        allows for any room.
+        """
         return {**super().limits(room), self.size: (0.0, _all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
@@ -363,11 +386,17 @@ class Absorber(AbsorbingObject):
         return alpha
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the state of the room with the absorber in place of an equal area of wall."""
+        """Return the state of the room with the absorber in place of an equal area of wall.
+
+        ``state`` is that without the absorber, and ``parameters`` are the values by name.
+        """
         return self.changes(state, [parameters])[0]
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the states of the room with the absorber, one per combination of parameter values."""
+        """Return the states of the room with the absorber, one per combination of parameter values.
+
+        ``state`` is that without the absorber, and ``grid`` has the combinations.
+        """
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
         others = [name for name in grid[0] if name != self.size]
@@ -1347,7 +1376,11 @@ def check_parameters(
         for what, value in stated:
             if not (isfinite(value) and least <= value <= most):
                 place = "" if room is None else f' in "{shortened(room.name)}"'
-                raise DataError(f"{where}: {what} = {value:g} must be {_rule(least, most)}{place}")
+                rule = _rule(least, most)
+                if effect.parameters.get(name) is _MATERIAL:
+                    last = "" if most == inf else f" to {most:g}"
+                    rule = f"the number of a material of the room, counted from 0{last}"
+                raise DataError(f"{where}: {what} = {value:g} must be {rule}{place}")
         if name in effect.discrete and parameters[name] != int(parameters[name]):
             raise DataError(f"{where}: {name} = {parameters[name]:g} must be a whole number")
 

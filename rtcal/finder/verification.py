@@ -102,7 +102,13 @@ MISSES = "misses"
 
 @dataclass(frozen=True)
 class Miss:
-    """Hold a band in which the corrected model does not reproduce the values it was calibrated to."""
+    """Hold a band in which the corrected model does not reproduce the values it was calibrated to.
+
+    ``quantity`` is the parameter, such as "T20", ``place`` the name of the configuration, and
+    ``frequency`` that of the band in Hz. ``model`` and ``measured`` are the values and ``uncertainty``
+    the standard uncertainty of the measurement, in ``unit``. ``jnd`` is modelled minus measured value
+    in JND.
+    """
 
     quantity: str
     place: str
@@ -145,7 +151,10 @@ def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Verification(Result):
-    """Hold the deviations with and without the effect that was found, at data that were held out."""
+    """Hold the deviations with and without the effect that was found, at data that were held out.
+
+    ``finding`` is the verified result of `rtcal.find`.
+    """
 
     record_kind: ClassVar[str] = "verification 8"
     words_in: ClassVar[str] = WORDS

@@ -197,6 +197,8 @@ class Analysis:
     was measured repeatedly, it is the smallest. ``floors`` (n_pairs, n_bands) are the reasons that
     limit the level range of each decay, such as noise. ``minimum_range`` is the impulse-to-noise ratio
     in dB that each parameter needs, by name.
+
+    ``notes`` are cautions, one sentence each.
     """
 
     measurement: Measurement

@@ -97,6 +97,8 @@ class ListedMaterial:
     coefficients, "" for the list itself. ``doubt`` is a reason not to use them, "" without one.
     ``sigma`` is the standard deviation of all coefficients, 0 where they are exact by definition; None
     leaves it to a rule.
+
+    ``name`` is its name in the file.
     """
 
     name: str
@@ -174,6 +176,8 @@ class MaterialList:
     ``path`` is the name of the file in messages. ``aliases`` maps further names of materials to the
     names in the file. ``scattering_text`` is a function that returns the text of scattering
     coefficients, one per band, to write at `ListedMaterial.scattering_place`.
+
+    ``text`` is the file's content, and ``materials`` are the materials in its order.
     """
 
     path: str
@@ -482,6 +486,8 @@ class ExportReport:
     and ``reverberation_time_as_read`` that of the room as the program reads it. ``bands_not_written``
     are bands of the room in Hz that the file does not have for every material. ``lost`` are properties
     of the room that the file cannot hold.
+
+    ``path`` is the written file, and ``notes`` are cautions, one sentence each.
     """
 
     path: str

@@ -172,6 +172,9 @@ class Mended:
     ``volume`` is in m³, and ``areas`` are in m² by material. If the walls do not close, ``geometry`` is
     None, the volume is estimated with rays, and the areas are those of all faces as drawn. ``size`` has
     the lengths in m of the box around the room, along x, y and z.
+
+    ``volume_uncertainty`` is the standard uncertainty of the volume in m³. ``defects`` are the faults
+    of the mesh, and ``notes`` are cautions, one sentence each.
     """
 
     geometry: Polyhedron | None

@@ -117,7 +117,10 @@ Values = dict[Key, dict[str, float]]
 
 @dataclass(frozen=True)
 class MeasuredTable:
-    """Hold a measurement that was read from a table, and how each column was read."""
+    """Hold a measurement that was read from a table, and how each column was read.
+
+    ``measurement`` has the values, and ``columns`` one line per column that says how it was read.
+    """
 
     measurement: Measurement
     columns: tuple[str, ...]
@@ -196,9 +199,9 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
     n_sources, n_receivers : int, optional
         Numbers of sources and receivers, if the values are means over several pairs.
     repeats : bool, optional
-        Whether several values of one pair, parameter and band are repeats, to be averaged. If False,
-        they are an error, unless their names are ``R1``, ``R1#2`` and so on. If True, it is an error if
-        nothing is repeated.
+        Whether several values of one pair, parameter and band are repeats, to be averaged. If True, it
+        is an error if nothing is repeated. If False, the default, several values are an error; repeats
+        are then averaged only if their receivers are named ``R1``, ``R1#2``, ``R1#3`` and so on.
     sheets : collection of str, optional
         Names of the sheets of a workbook to read; by default all with a header.
 

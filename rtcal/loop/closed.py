@@ -80,6 +80,9 @@ class Matched:
     ``measured`` has the measured times of each parameter in s, (n_bands,), NaN where missing. The first
     one is T20, or T30 if T20 was not measured. ``shares`` are the weights of the parameters, which sum
     to 1 in each band.
+
+    ``time_label`` is the name of the measured reverberation time, such as "T20", and ``kinds`` has its
+    key in each band.
     """
 
     measured: Mapping[str, Array]
@@ -228,7 +231,12 @@ _STRONGEST_SHADE = 5.0  # JND
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """Hold one simulation of a loop: the coefficients, and the T that the simulator gave with them."""
+    """Hold one simulation of a loop: the coefficients, and the T that the simulator gave with them.
+
+    ``target`` is the T in s to which the equation was calibrated, ``simulated`` the simulated time in s
+    and ``noise`` its standard error, (n_bands,) each. ``alpha`` (n_materials, n_bands) are the
+    simulated coefficients. ``means`` has the simulated means of all parameters that are shown, by key.
+    """
 
     target: Array
     """T in s to which the equation was calibrated for this simulation, (n_bands,); NaN without a

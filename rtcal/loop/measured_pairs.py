@@ -97,6 +97,10 @@ class MeasuredPairs:
     Therefore the measured level is shifted so that its mean over each source's pairs equals that of the
     simulated level in each band. ``fingerprints`` are texts with which a calibrated room identifies the
     data to which it was calibrated: one for all matched values, and one for the mean T.
+
+    ``covariance`` (n_used, n_used) is that of the errors of the values used. ``level`` is "absolute"
+    for G, "relative" for levels with one reference per source, "" without a level. ``notes`` are
+    sentences on what was left out.
     """
 
     observations: Observations
@@ -553,6 +557,8 @@ class Compared:
     """Hold values at the same pairs: measured, and simulated before and after a calibration.
 
     ``relative`` is True if the reference of the measured level is unknown.
+
+    ``measured``, ``before`` and ``after`` are `Observations` with the same parameters, pairs and bands.
     """
 
     measured: Observations
@@ -668,6 +674,11 @@ class ControlRuns:
     A reference simulation traces a similar room with other scattering, positions and coefficients,
     so that its differences from the simulator show how far the simulator may err.
     `rtcal.calibrate_positions` makes them, and uses their covariance as the error of the simulator.
+
+    ``errors`` (n_runs, n_parameters, n_pairs, n_bands) are the values of each reference simulation
+    minus those of the simulator, for the keys ``parameters`` and the (source, receiver) ``pairs``.
+    ``levels`` (n_runs,) are its mean scattering coefficients, ``models`` its scattering models, and
+    ``more_paths`` is the factor on its number of paths.
     """
 
     parameters: tuple[str, ...]

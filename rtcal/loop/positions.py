@@ -941,7 +941,10 @@ _FARTHER = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsResult(Result):
-    """Hold the coefficients with which a simulator fits the measured values at every position."""
+    """Hold the coefficients with which a simulator fits the measured values at every position.
+
+    ``seed`` is that of the random numbers of the simulator, and ``steps`` are the steps of the fit.
+    """
 
     record_kind: ClassVar[str] = "positions 1"
     words_in: ClassVar[str] = "rtcal.report.of_positions"

@@ -86,6 +86,10 @@ class PositionsPrediction(Result):
 
     Arrays are (n_parameters, n_pairs + 1, n_bands): first the pairs, then their mean. They contain the
     logarithms of times; `mean`, `at_pairs` and `interval` return values in their units.
+
+    ``name`` is that of the variant, ``changes`` are the changes of the room, and ``simulator`` is the
+    name of the simulator. ``middle`` are the predicted values after the change, with the 90 % interval
+    from ``low`` to ``high``. ``pairs`` are (source, receiver).
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"

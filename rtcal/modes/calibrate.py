@@ -224,7 +224,13 @@ _FACTOR_Z = 3.0  # standard deviations of all decays together from what was stat
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ModesResult(Result):
-    """Room that is calibrated to the decays of its modes, with the modes that were used."""
+    """Room that is calibrated to the decays of its modes, with the modes that were used.
+
+    ``modes`` are the measured modes and ``used`` the numbers of those that were used. ``frequencies``
+    and ``decays_before`` belong to the calculated modes. ``steps`` is the number of linearisations,
+    ``settled`` is True if the last one changed no coefficient by a twentieth of its sigma or more, and
+    ``notes`` are cautions.
+    """
 
     record_kind: ClassVar[str] = "modes 1"
     in_file: ClassVar[str] = (

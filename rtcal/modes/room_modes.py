@@ -84,6 +84,10 @@ class RoomModes:
     `modes_of` returns them. A mode of the room with absorbing walls is a mixture of the modes with
     rigid walls (module docstring).
 
+    ``frequencies`` are in Hz, ``coupling`` in 1/m, and ``speed_of_sound`` in m/s. ``materials`` has the
+    name of each wall's material. Modes are wanted up to ``largest`` in Hz. ``shapes`` is a function
+    that returns the modes' values at points. ``known`` stores poles; leave it empty.
+
     Examples
     --------
     >>> import rtcal as rt
@@ -213,6 +217,10 @@ class Poles:
     source to a receiver, where a and b are the mode's values at these points. The norm of a pole s is
     x' (2 s + c sum_i beta_i B_i) x, with the admittance beta_i and the `RoomModes.coupling` B_i of wall
     i and the speed of sound c.
+
+    ``values`` (n_poles,) are the poles s in 1/s, ``mixtures`` (n_modes, n_poles) the x, ``slopes``
+    (n_poles, n_walls) the derivatives of s by each wall's admittance in 1/s, and ``norms`` (n_poles,)
+    the norms.
     """
 
     values: Complex  # (n_poles,), -delta + j omega in 1/s

@@ -88,6 +88,13 @@ class KnownRoom:
     """Hold what is known about a room before it is changed, from a calibration or from its input.
 
     ``materials`` are the names of the materials of the room and of its other measured states.
+
+    ``room`` has the input coefficients, and ``alpha`` (n_materials, n_bands) are the calibrated ones.
+    ``quantiles`` are those of each coefficient, and ``correlation`` (n_bands, n_materials, n_materials)
+    is that between materials. ``time`` is T before the change in s by ``equation``, (n_bands,).
+    ``measured`` is True in bands with a measured T, and ``exact`` is True if ``time`` is that T.
+    ``log_uncertainty`` is the standard uncertainty of ln T, NaN if none is stated. ``others`` are
+    further measured states, and ``doubts`` cautions about the input.
     """
 
     room: Room  # with the stated coefficients

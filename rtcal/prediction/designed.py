@@ -428,7 +428,11 @@ _LEAST_CHANCE = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Design(Result):
-    """Hold the cheapest areas of treatments for a required T, and the T that they give."""
+    """Hold the cheapest areas of treatments for a required T, and the T that they give.
+
+    ``model`` has the treatments, the target and what is known about the room. ``promised`` is the
+    probability that was required in each band. ``areas`` (n_treatments,) are in m².
+    """
 
     record_kind: ClassVar[str] = "design 1"
     in_file: ClassVar[str] = (

@@ -84,7 +84,12 @@ def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoo
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Prediction(TimeChange, Result):
-    """Hold the predicted T of a changed room in each band, with its interval; `predict` returns it."""
+    """Hold the predicted T of a changed room in each band, with its interval; `predict` returns it.
+
+    ``name`` is that of the variant, ``changes`` are the changes of the room, and ``assumptions`` are
+    what is assumed about them. ``known`` is the room before and ``state`` the room after the change.
+    ``simulated`` is T of a program, None without one.
+    """
 
     record_kind: ClassVar[str] = "prediction 3"
     in_file: ClassVar[str] = (
@@ -528,7 +533,11 @@ def predict(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictions(Result):
-    """Hold the predictions of several changes of one room, of T or at every position."""
+    """Hold the predictions of several changes of one room, of T or at every position.
+
+    ``predictions`` has one per variant, and ``costs`` its cost, None where it is unknown. ``target`` is
+    the range of T with which the variants are compared, None without one.
+    """
 
     record_kind: ClassVar[str] = "predictions 3"
 

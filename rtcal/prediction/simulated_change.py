@@ -31,6 +31,9 @@ class SimulatedChange:
     """Hold T in s that a program simulated before and after a change, (n_bands,) each.
 
     T is NaN in a band in which one of the two runs has none.
+
+    ``before`` and ``after`` are these T. ``log_uncertainty`` is the program's standard uncertainty of
+    ln(T after / T before), 0 if it gives none.
     """
 
     before: Array

@@ -125,7 +125,11 @@ _PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
 
 @dataclass(frozen=True)
 class StudyReport:
-    """Hold the printed text of a study, its tables as plain records, and its files by name."""
+    """Hold the printed text of a study, its tables as plain records, and its files by name.
+
+    ``blocks`` are the printed paragraphs and tables, ``records`` the rows of the tables as plain
+    values, and ``files`` maps names to contents in bytes.
+    """
 
     blocks: list[Block] = field(default_factory=list)
     records: list[dict[str, Any]] = field(default_factory=list)

@@ -287,6 +287,10 @@ class Observations:
 
     ``parameters`` are keys of `rtcal.acoustics.observables.OBSERVABLES`. Values of decay times and Ts
     are logarithms, all others are the parameters themselves.
+
+    ``values`` (n_parameters, n_pairs, n_bands) are NaN where missing. ``pairs`` are (source, receiver),
+    and ``centre_frequencies`` are in Hz. ``direct`` (n_pairs, n_bands) is the direct sound's share of
+    the energy, None if it is unknown.
     """
 
     parameters: tuple[str, ...]

@@ -68,6 +68,11 @@ class Tracer(RoomSimulator, ABC):
 
     `PathTracing` and `RayTracing` describe the parameters. ``made_of`` (n_faces,) is, for each face,
     the row of its material in the room.
+
+    ``geometry`` is the room's mesh. ``sources`` and ``receivers`` map names to positions (x, y, z) in
+    m. ``scattering`` coefficients are by default the room's. ``radius`` is that of the receivers in m,
+    and ``bin_width`` (default 0.002) that of the time bins in s. ``n_batches`` is the number of
+    batches.
     """
 
     geometry: Polyhedron
@@ -1102,10 +1107,12 @@ class PathTracing(Tracer):
     def denser(self, factor: int = 1, n_batches: int | None = None) -> PathTracing:
         """Return the path tracing with 3 times ``factor`` as many paths, and so less noise.
 
-        With the factor 1 it takes about the same time, because paths end one after the other as the
-        sound decays (``thinned``). The default radius of the receivers becomes 0.15 times the cube root
-        of the volume. If this tracing is thinned already, the new one has ``factor`` times its paths.
-        ``n_batches`` is the new number of batches, None for the present one.
+        With the factor 1, the default, it takes about as long as this tracing, because most paths are
+        no longer followed to the end. After each quarter of Eyring's T, half of the paths end and the
+        others count twice, up to four times (``thinned``). The default radius of the receivers becomes
+        0.15 times the cube root of the volume. If paths end in this tracing already, the new one has
+        ``factor`` times as many. ``n_batches`` is the new number of batches, by default the present
+        one.
         """
         checks.whole("factor", factor, 1)
         n_batches = n_batches or self.n_batches
@@ -1161,16 +1168,20 @@ class PathTracing(Tracer):
     ) -> Array:
         """Return energy decays for coefficients ``alpha`` and a source of unit energy, in 1/m².
 
-        The first bin starts with the first sound. The mean over the groups of paths is the estimate.
+        For each pair of source and receiver, the first bin starts when the first sound arrives: the
+        direct sound or, if it is hidden, the shortest path. The mean over the groups of paths is the
+        estimate.
 
         Parameters
         ----------
         alpha : array (n_materials, n_bands)
             Absorption coefficients.
         seconds : float
-            Time in s after the emission until which the decays last at least, at most 60.
+            Least time in s for which paths are followed after their emission, above 0 and at most 60.
+            Longer paths in memory are used to their end. All pairs have equally many bins; the decay of
+            the pair with the latest first sound ends with the paths, the others end earlier.
         seed : int
-            Seed of the random numbers.
+            Seed of the random numbers, by default 0.
         number : int, optional
             Number of groups into which the batches of paths are divided; it must divide ``n_batches``.
             By default each batch is a group.

@@ -186,7 +186,11 @@ def _sum_of_pieces(
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """Hold a finished study of one room at one sigma_r, which `run` returns."""
+    """Hold a finished study of one room at one sigma_r, which `run` returns.
+
+    ``areas``, ``sigma_r``, ``realisations``, ``trials``, ``seed`` and ``sampling`` are the arguments of
+    `run`, and ``moments`` are sums over the trials from which the tables are calculated.
+    """
 
     areas: Array
     sigma_r: float

@@ -23,6 +23,10 @@ class Row:
 
     ``values`` (n_columns,) are texts or numbers, with None or NaN for a missing number. ``form`` is the
     format of a number; with "+" in it, positive numbers have a sign, and 0 has none.
+
+    ``name`` stands in front of the row. ``shade`` is the colour of each cell, from -1 (blue) over 0
+    (none) to 1 (orange). ``shown`` are texts to print in place of the values. ``others`` maps names to
+    further values that ``shown`` contains.
     """
 
     name: str
@@ -87,6 +91,9 @@ class Table:
     ``corner`` is the head of the column of the rows' names. ``most`` has the numbers of the rows that
     are printed, None for all; a workbook has all rows. A table with ``detail`` True is shown in
     notebooks and on pages, but not in a terminal.
+
+    ``columns`` are the heads of the columns, ``rows`` the rows, ``title`` is the text above and
+    ``note`` that below.
     """
 
     columns: Sequence[str]

@@ -740,7 +740,11 @@ engine that it was not estimated from (docs/discrepancy.md)."""
 
 @dataclass(frozen=True, eq=False)
 class ModelDiscrepancy:
-    """Bias and covariance of the model's error, over all features raveled."""
+    """Bias and covariance of the model's error, over all features raveled.
+
+    ``bias`` (n,) and ``covariance`` (n, n) have n = n_configurations * n_features * n_bands, in this
+    order. ``engines`` are the names of the simulators whose reference rooms gave them.
+    """
 
     bias: Array
     covariance: Array
