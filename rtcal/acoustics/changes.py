@@ -489,6 +489,8 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     The changed room has neither single surfaces nor a scene, because a change does not state which part
     of a surface is covered.
 
+    ``room`` is the room before, and ``changes`` is one `Change` or a sequence of them.
+
     Raises
     ------
     DataError
@@ -969,7 +971,10 @@ class Treatment:
             )
 
     def change(self, area: float) -> Change:
-        """Return the change that puts an area in m² of the treatment's material into the room."""
+        """Return the change that puts an area in m² of the treatment's material into the room.
+
+        ``area`` is at most the treatment's ``largest``.
+        """
         if self.covers is None:
             return Change(add=self.material, area=area)
         return Change(cover=self.covers, by=self.material, area=area)

@@ -41,7 +41,10 @@ class Equation(Protocol):
     name: ClassVar[str]
 
     def reverberation_time(self, room: Room) -> Array:
-        """Return the reverberation time T of a room in s, (n_bands,)."""
+        """Return the reverberation time T of a room in s, (n_bands,).
+
+        ``room`` gives volume, areas, coefficients and air.
+        """
         ...
 
 
@@ -67,7 +70,10 @@ class ReverberationEquation(ABC):
 
     @abstractmethod
     def reverberation_time(self, room: Room) -> Array:
-        """Return the reverberation time T of a room in s, (n_bands,)."""
+        """Return the reverberation time T of a room in s, (n_bands,).
+
+        ``room`` gives volume, areas, coefficients and air.
+        """
 
     def absorption_area(self, room: Room, t: Array) -> Array:
         """Raise ModelError: T determines the absorption area in a `LinearEquation`, but not here."""
@@ -136,7 +142,10 @@ class MeanEquation(ReverberationEquation):
         return np.inf
 
     def contribution(self, alpha: Array) -> Array:
-        """Return the contribution h(alpha) of a wall to the mean."""
+        """Return the contribution h(alpha) of a wall to the mean.
+
+        ``alpha`` is the wall's absorption coefficient, of any shape.
+        """
         return np.asarray(alpha)
 
     def coefficient(self, contribution: Array) -> Array:
@@ -144,19 +153,31 @@ class MeanEquation(ReverberationEquation):
         return np.asarray(contribution)
 
     def contribution_slope(self, alpha: Array) -> Array:
-        """Return the derivative of a wall's `contribution` by its absorption coefficient."""
+        """Return the derivative of a wall's `contribution` by its absorption coefficient.
+
+        ``alpha`` is this coefficient, of any shape.
+        """
         return np.ones_like(alpha)
 
     def exponent(self, mean: Array) -> Array:
-        """Return the absorption exponent a = E(mean)."""
+        """Return the absorption exponent a = E(mean).
+
+        ``mean`` is the mean of h(alpha) over the walls, of any shape.
+        """
         return np.asarray(mean)
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean that gives an absorption exponent (inverse of `exponent`), or else NaN."""
+        """Return the mean that gives an absorption exponent (inverse of `exponent`), or else NaN.
+
+        ``exponent`` is of any shape.
+        """
         return np.asarray(exponent)
 
     def slope(self, mean: Array) -> Array:
-        """Return the derivative of the absorption exponent by the mean."""
+        """Return the derivative of the absorption exponent by the mean.
+
+        ``mean`` is the mean of h(alpha) over the walls, of any shape.
+        """
         return np.ones_like(mean)
 
     def linear(self) -> LinearEquation:
@@ -179,6 +200,8 @@ class MeanEquation(ReverberationEquation):
         """Return the reverberation time T of a room in s, (n_bands,), infinite without absorption.
 
         Source: Bellows & Katz (2025), Eqs. 1 to 3.
+
+        ``room`` gives volume, areas, coefficients and air.
         """
         checks.instance("room", room, Room)
         walls = room.is_surface
@@ -206,6 +229,8 @@ class LinearEquation(MeanEquation):
         """Return the reverberation time T in s, (..., n_bands), for an absorption area of the surfaces.
 
         ``absorption_area`` (..., n_bands) is in m².
+
+        ``room`` gives volume, total area and air.
         """
         checks.instance("room", room, Room)
         exponent = self.exponent(absorption_area / room.total_area)
@@ -216,11 +241,16 @@ class LinearEquation(MeanEquation):
 
         The area is (..., n_bands). ``t`` (..., n_bands) is T in s. The area is below 0 if T is longer
         than the air alone allows, and NaN if T is NaN or no mean absorption coefficient gives T.
+
+        ``room`` gives volume, total area and air.
         """
         return np.asarray(room.total_area * self.inverse(self.exponent_of_time(room, t)))
 
     def exponent_of_time(self, room: Room, t: Array) -> Array:
-        """Return the absorption exponent (k V / T - 4 m V) / S for T = ``t`` in s, (..., n_bands)."""
+        """Return the absorption exponent (k V / T - 4 m V) / S for T = ``t`` in s, (..., n_bands).
+
+        ``room`` gives the volume V in m³, the area S in m² and the attenuation m of the air in 1/m.
+        """
         with np.errstate(over="ignore"):
             total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
         return np.asarray((total - 4 * room.air_attenuation * room.volume) / room.total_area)
@@ -230,6 +260,8 @@ class LinearEquation(MeanEquation):
 
         The derivative is negative, because a longer T needs less absorption. ``t`` (n_bands,) is T in
         s.
+
+        ``room`` gives volume, total area and air.
         """
         t = np.asarray(t, dtype=float)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
@@ -240,6 +272,8 @@ class LinearEquation(MeanEquation):
         """Return the air's share of the whole absorption, 4mV / (S a + 4mV), (n_bands,).
 
         ``absorption_area`` is that of the surfaces in m², from which the exponent a follows.
+
+        ``room`` gives volume, total area and air.
         """
         air = 4 * room.air_attenuation * room.volume
         total = room.total_area * self.exponent(absorption_area / room.total_area) + air
@@ -350,7 +384,10 @@ class Eyring(LinearEquation):
         return float(-np.expm1(-_LARGEST_EXPONENT))
 
     def exponent(self, mean: Array) -> Array:
-        """Return the absorption exponent -ln(1 - mean alpha), infinite for a mean of 1."""
+        """Return the absorption exponent -ln(1 - mean alpha), infinite for a mean of 1.
+
+        ``mean`` is the mean absorption coefficient of the walls, of any shape.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.minimum(mean, 1.0)))
 
@@ -364,7 +401,10 @@ class Eyring(LinearEquation):
         return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))
 
     def slope(self, mean: Array) -> Array:
-        """Return the derivative 1 / (1 - mean alpha) of the absorption exponent by the mean."""
+        """Return the derivative 1 / (1 - mean alpha) of the absorption exponent by the mean.
+
+        ``mean`` is the mean absorption coefficient of the walls, of any shape.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.minimum(mean, 1.0)))
 
@@ -434,7 +474,10 @@ class Millington(MeanEquation):
         return np.asarray(-np.expm1(-np.asarray(contribution, dtype=float)))
 
     def contribution_slope(self, alpha: Array) -> Array:
-        """Return the derivative 1 / (1 - alpha) of a wall's exponent by its coefficient."""
+        """Return the derivative 1 / (1 - alpha) of a wall's exponent by its coefficient.
+
+        ``alpha`` is this coefficient, of any shape.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(1 / (1 - np.asarray(alpha, dtype=float)))
 
@@ -486,7 +529,10 @@ class Kuttruff(LinearEquation):
         return float(-np.expm1(-1 / self.path_variance))
 
     def exponent(self, mean: Array) -> Array:
-        """Return the absorption exponent a' (1 - gamma² a' / 2); ModelError beyond its peak."""
+        """Return the absorption exponent a' (1 - gamma² a' / 2); ModelError beyond its peak.
+
+        ``mean`` is the mean absorption coefficient of the walls, of any shape.
+        """
         beyond = np.atleast_1d(mean) > self.largest_mean * (1 + 1e-12)
         if beyond.any():
             error = ModelError(
@@ -499,7 +545,10 @@ class Kuttruff(LinearEquation):
         return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
 
     def inverse(self, exponent: Array) -> Array:
-        """Return the mean coefficient that gives an absorption exponent; NaN above its peak."""
+        """Return the mean coefficient that gives an absorption exponent; NaN above its peak.
+
+        ``exponent`` is of any shape.
+        """
         # The quotient keeps the digits of small exponents. Up to 1e-14 is rounding at the peak.
         inside = 1 - 2 * self.path_variance * np.asarray(exponent, dtype=float)
         inside = np.where(inside < 0, np.where(inside > -1e-14, 0.0, np.nan), inside)
@@ -507,7 +556,10 @@ class Kuttruff(LinearEquation):
         return np.asarray(-np.expm1(-eyring))
 
     def slope(self, mean: Array) -> Array:
-        """Return the derivative (1 - gamma² a') / (1 - mean alpha) of the absorption exponent."""
+        """Return the derivative (1 - gamma² a') / (1 - mean alpha) of the absorption exponent.
+
+        ``mean`` is the mean absorption coefficient of the walls, of any shape.
+        """
         eyring = -np.log1p(-np.asarray(mean, dtype=float))
         return np.asarray((1 - self.path_variance * eyring) / (1 - np.asarray(mean)))
 

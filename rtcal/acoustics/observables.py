@@ -70,14 +70,19 @@ class Observable(ABC):
     spellings: ClassVar[str] = ""
     """Names in tables of other programs, in lower case without spaces, separated by blanks."""
     unit: ClassVar[str]
-    decimals: ClassVar[int]  # after the point as it is printed
-    rank: ClassVar[int]  # place in lists, the smallest first
+    """Unit of the value, such as "s"; "" without one."""
+    decimals: ClassVar[int]
+    """Number of decimals with which the value is printed."""
+    rank: ClassVar[int]
+    """Place in lists of parameters, the smallest first."""
     jnd: ClassVar[float]
+    """Just noticeable difference: a share of the value if `relative_jnd` is True, else in its unit."""
     relative_jnd: ClassVar[bool] = False
-    """Whether the just noticeable difference is a share of the value; else it has the value's unit."""
+    """Whether `jnd` is a share of the value; else it has the value's unit."""
     limits: ClassVar[tuple[float, float]]
     """Least and largest value that is accepted; ``doubt`` names the likely mistake beyond them."""
     doubt: ClassVar[str]
+    """Words on the likely mistake behind a value beyond `limits`."""
     simulated: ClassVar[tuple[float, float] | None] = None
     """Limits in place of ``limits`` for a `Measurement` with simulated values."""
     usual: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
@@ -85,10 +90,12 @@ class Observable(ABC):
     minimum_range: ClassVar[float | None] = 20.0
     """Impulse-to-noise ratio in dB that an impulse response needs for the parameter. None if a response
     alone does not suffice, because the level needs a calibrated source."""
-    reaches: ClassVar[float] = 0.0  # time in s that a response must be longer than to hold it
+    reaches: ClassVar[float] = 0.0
+    """Time in s; a response must be longer to have the parameter."""
     logarithmic: ClassVar[bool] = False
     """Whether the observed quantity is the logarithm of the value (with a relative uncertainty)."""
-    rises: ClassVar[bool] = False  # with the absorption
+    rises: ClassVar[bool] = False
+    """Whether the value rises with the absorption."""
     part: ClassVar[Part] = "early"
     """Part of the decay that determines the value. Absorption near a position differs between parts."""
     teams: ClassVar[tuple[float, ...]]
@@ -99,9 +106,12 @@ class Observable(ABC):
     remeasured: ClassVar[float] = 0.01
     """Standard deviation of the observed quantity, common to all pairs of a band, when an unchanged
     room is measured again."""
-    matched: ClassVar[bool] = False  # at every position where nothing else is asked for
-    predicted: ClassVar[bool] = False  # at positions, beside what is matched
-    shown: ClassVar[bool] = False  # by a loop on mean values; a tracer states its noise
+    matched: ClassVar[bool] = False
+    """Whether a calibration at positions matches the parameter by default."""
+    predicted: ClassVar[bool] = False
+    """Whether it is predicted at positions by default, in addition to those that are matched."""
+    shown: ClassVar[bool] = False
+    """Whether a closed loop on mean values prints it, and a simulator states its noise."""
     label_of_band: ClassVar[str] = ""
     """Name of the value in one band, if it is not the parameter's."""
     stand_in: ClassVar[str | None] = None

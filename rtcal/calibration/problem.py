@@ -163,8 +163,8 @@ class Calibration:
             If a term names a material or a band that the room lacks.
         ModelError
             If a term is not convex and quadratic or a constraint not linear; if one of them multiplies
-            two parameters (which cvxpy calls "not DPP"); or if T of the equation does not depend on the
-            mean absorption coefficient alone.
+            two quantities that depend on room or measurement, which cvxpy cannot compile; or if T of
+            the equation does not depend on the mean absorption coefficient alone.
 
         Warns
         -----

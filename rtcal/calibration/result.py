@@ -90,7 +90,7 @@ class JointResult(Result):
     """Calibration of several configurations of a room, which share their coefficients.
 
     ``unreachable`` are the bands whose measured T no coefficients within their bounds give, ``method``
-    is the key of the calibration method, and ``solver`` the name of the solver.
+    is the name of the method, and ``solver`` the name of the solver.
     """
 
     record_kind: ClassVar[str] = "joint 1"

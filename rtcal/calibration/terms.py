@@ -104,21 +104,28 @@ class Model:
         return parameter
 
     def by_band(self, compute: Callable[[Numbers], Any]) -> Any:
-        """Return a cvxpy parameter, (n_configurations, n_bands), as `parameter` with this shape."""
+        """Return a cvxpy parameter, (n_configurations, n_bands), as `parameter` with this shape.
+
+        ``compute`` is the function that returns the values, as for `parameter`.
+        """
         return self.parameter((self.layout.n_configurations, self.layout.n_bands), compute)
 
     def defined(self, expression: Any) -> Any:
         """Return a new cvxpy variable that is constrained to equal an expression.
 
-        An expression that contains a parameter must not be multiplied by a second parameter, because
-        cvxpy would then compile the problem anew in each solve. The variable may be.
+        ``expression`` is any linear expression, such as `alpha`. An expression that depends on room or
+        measurement must not be multiplied by a `parameter` p, because cvxpy would then compile the
+        problem anew in each solve. Write ``p * m.defined(expression)`` instead.
         """
         variable = cp.Variable(expression.shape)
         self.definitions.append(variable == expression)
         return variable
 
     def at_least_zero(self, shape: Any) -> Any:
-        """Return a new auxiliary cvxpy variable that is 0 or more."""
+        """Return a new auxiliary cvxpy variable that is 0 or more.
+
+        ``shape`` is the variable's shape, () for a number.
+        """
         variable = cp.Variable(shape)
         self.nonnegative.append(variable)
         return variable

@@ -170,6 +170,8 @@ class Configurations:
         is (n_errors, n_configurations * n_bands), 0 errors if all rooms are exact. The errors are those
         of volume, all areas together, the area of each material, and temperature and humidity of each
         configuration. ``times`` (n_configurations, n_bands) are the measured T in s.
+
+        ``equation`` is the reverberation equation.
         """
         checks.instance("equation", equation, LinearEquation)
         times = checks.array("times", times)
@@ -488,7 +490,10 @@ class Numbers:
         return np.array([[self.equation.largest_mean * room.total_area] for room in self.rooms])
 
     def target_of(self, times: Array) -> Array:
-        """Return the absorption area in m² that T in s needs, both (n_configurations, n_bands)."""
+        """Return the absorption area in m² that T in s needs, both (n_configurations, n_bands).
+
+        ``times`` are these T.
+        """
         pairs = zip(self.rooms, times, strict=True)
         return np.array([self.equation.target(room, t) for room, t in pairs])
 

@@ -127,7 +127,13 @@ class ListedMaterial:
         unit: float = 1.0,
         **more: Any,
     ) -> ListedMaterial:
-        """Return the material of a row of coefficients and, if known, one of scattering."""
+        """Return the material of a row of coefficients and, if known, one of scattering.
+
+        ``name`` is the material's name, ``line`` its line from 1, and ``place`` the place in messages.
+        ``row`` and ``scatters`` are the numbers of the text in the bands ``centre_frequencies`` in Hz.
+        ``unit`` is the factor from a number to the coefficient, and ``more`` are further fields of the
+        material.
+        """
         alpha, spans = coefficients(row, place, unit)
         scattering, of_scattering = None, tuple[Span, ...]()
         if scatters is not None:
@@ -145,14 +151,21 @@ class ListedMaterial:
         )
 
     def in_bands(self, values: Sequence[float], wanted: Array, place: str) -> Array:
-        """Return one value per band of this material in other bands; DataError names the place."""
+        """Return one value per band of this material in other bands; DataError names the place.
+
+        ``values`` has one value per band of the material, ``wanted`` are the other bands' centre
+        frequencies in Hz, and ``place`` is the place in messages.
+        """
         try:
             return bands.Conversion(self.centre_frequencies, wanted).mean(np.array(values))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
 
     def with_decimals(self, decimals: int) -> ListedMaterial:
-        """Return the material with its numbers written to these decimals of the coefficient."""
+        """Return the material with its numbers written to these decimals of the coefficient.
+
+        ``decimals`` is the number of decimals of the coefficient from 0 to 1.
+        """
         least = 2 if self.unit == 0.01 else 0
         if not least <= decimals <= 15:
             raise DataError(
@@ -162,7 +175,10 @@ class ListedMaterial:
         return replace(self, decimals=decimals - least)
 
     def rounded(self, alpha: float) -> tuple[str, float]:
-        """Return the text of a written number, and the coefficient that is read from it."""
+        """Return the text of a written number, and the coefficient that is read from it.
+
+        ``alpha`` is the coefficient to write.
+        """
         if self.decimals is None:
             return repr(alpha / self.unit), alpha
         text = f"{alpha / self.unit:.{self.decimals}f}"
@@ -287,7 +303,10 @@ class MaterialList:
         raise DataError(f'"{name}" is not a material of {self.path}, which has {names}')
 
     def with_entries(self, entries: Mapping[str, str], room: Room) -> MaterialList:
-        """Return the list with other names for a room's materials; see `rtcal.io.catt.write`."""
+        """Return the list with other names for a room's materials; see `rtcal.io.catt.write`.
+
+        ``entries`` maps names of the ``room``'s materials to names or aliases in the list.
+        """
         if unknown := [name for name in entries if name not in room.materials]:
             raise DataError(
                 f'entries: "{unknown[0]}" is not a material of the room, which has '

@@ -58,7 +58,11 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False
 def parse(
     content: bytes, path: str = "OBJ file", *, unit: float = 1.0, leaks: bool = False
 ) -> Polyhedron:
-    """Return the geometry of a room from the content of an OBJ file; see `read`."""
+    """Return the geometry of a room from the content of an OBJ file; see `read`.
+
+    ``content`` is the text as bytes, and ``path`` its name in messages. ``unit`` (by default 1 m) and
+    ``leaks`` (by default False) are those of `read`.
+    """
     unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:

@@ -345,6 +345,9 @@ def interrupted(
     the theoretical standard deviation of ISO 3382-2 for as many decays. Parameters are those
     of `rtcal.io.impulse_responses.read`.
 
+    ``path``, ``bands``, ``channels``, ``minimum_range``, ``repeats`` and ``progress`` are those of
+    `rtcal.io.impulse_responses.read`, with the same defaults.
+
     Raises
     ------
     DataError

@@ -229,7 +229,11 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
 def parse(
     content: bytes | Mapping[str, bytes], path: str = "table", **options: Any
 ) -> MeasuredTable:
-    """Return the measurement in the content of a table, or of several by their names; see `read`."""
+    """Return the measurement in the content of a table, or of several by their names; see `read`.
+
+    ``content`` is the content in bytes, or maps names to contents. ``path`` is the name of a single
+    table in messages. ``options`` are the other parameters of `read`.
+    """
     checks.text("path", path)
     contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
     if not contents:
@@ -267,6 +271,8 @@ def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
 
     Raises DataError for any other text: read it with `read`, or convert it with ``rtcal table``, and
     check how its columns were read.
+
+    ``path`` is the path of the file.
     """
     content = read_bytes(path, MAX_BYTES)
     if any(module.recognises(content) for module in FORMATS):
@@ -278,6 +284,8 @@ def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write a measurement as rtcal's table: a CSV file, or a workbook if the path ends in .xlsx.
 
     A row has one value, with the columns source, receiver, parameter, band and value.
+
+    ``measurement`` is what to write, and ``path`` the path of the new file.
     """
     checks.instance("measurement", measurement, Measurement)
     if checks.path("path", path).suffix.lower() == workbook.ENDING:

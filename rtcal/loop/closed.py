@@ -139,6 +139,8 @@ class Matched:
 
         It is 0 if the simulated values state no uncertainty, and NaN where they state NaN. T20 and EDT
         come from the same paths, so that their errors are added as if fully correlated.
+
+        ``measurement`` has the simulated values.
         """
         time = self.combined(measurement.mean)
         total = np.zeros(len(time))

@@ -575,7 +575,12 @@ class Compared:
         before: Observations,
         after: Observations,
     ) -> Compared:
-        """Return the values of some parameters at some pairs, if measured and simulated there."""
+        """Return the values of some parameters at some pairs, if measured and simulated there.
+
+        ``measured`` is the measurement, ``parameters`` are keys such as "t20", and ``pairs`` are
+        (source, receiver). ``before`` and ``after`` are the simulated values before and after the
+        calibration.
+        """
         kept = [pair for pair in pairs if pair in before.pairs]
         values = Observations.of_measurement(measured, parameters, kept)
         there = [p for p in parameters if np.isfinite(values.natural(p)).any()]

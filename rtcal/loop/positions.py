@@ -1025,6 +1025,10 @@ class PositionsResult(Result):
 
         For the arguments and errors see `rtcal.loop.predict_positions`, which predicts several variants
         at once.
+
+        ``changes`` are made in the given order. ``wanted`` are the keys of the parameters to predict,
+        ``name`` is the name of the variant, by default the words of its changes, and ``assumptions``
+        are what is assumed about the changes.
         """
         made = (changes,) if isinstance(changes, Change) else tuple(changes)
         variant = Variant(name or "; ".join(map(str, made)) or "no change", made)

@@ -129,30 +129,47 @@ class PositionsPrediction(Result):
         return np.asarray(observable(parameter).natural(observed[row]))
 
     def at_pairs(self, parameter: str) -> Array:
-        """Return the prediction for pairs, then the mean, in its unit, (n_pairs + 1, n_bands)."""
+        """Return the prediction for pairs, then the mean, in its unit, (n_pairs + 1, n_bands).
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
+        """
         return self._natural(parameter, self.middle)
 
     def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % interval of pairs and mean, (n_pairs + 1, n_bands) each."""
+        """Return the ends of the 90 % interval of pairs and mean, (n_pairs + 1, n_bands) each.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
+        """
         return self._natural(parameter, self.low), self._natural(parameter, self.high)
 
     def mean(self, parameter: str) -> Array:
-        """Return the mean over the pairs in its unit, (n_bands,); the geometric mean for times."""
+        """Return the mean over the pairs in its unit, (n_bands,); the geometric mean for times.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
+        """
         return np.asarray(self.at_pairs(parameter)[-1])
 
     def interval(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % interval of the mean over the pairs, (n_bands,) each."""
+        """Return the ends of the 90 % interval of the mean over the pairs, (n_bands,) each.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
+        """
         low, high = self.interval_at_pairs(parameter)
         return low[-1], high[-1]
 
     def before_change(self, parameter: str) -> Array:
-        """Return the value of each pair before the change in its unit, and then the mean."""
+        """Return the value of each pair before the change in its unit, and then the mean.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
+        """
         return self._natural(parameter, self.simulated_before)
 
     def change(self, parameter: str) -> Array:
         """Return the change of each pair and of the mean in JND, (n_pairs + 1, n_bands).
 
         One JND is that of the value before the change, for example 5 % of a decay time.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
         """
         before = self.before_change(parameter)
         return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
@@ -164,6 +181,8 @@ class PositionsPrediction(Result):
 
         One JND is that of the value after the change. ``low`` and ``high`` replace the ends of the
         interval; None keeps them.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
         """
         low, high = (own if of is None else of for of, own in ((low, self.low), (high, self.high)))
         one = np.asarray(observable(parameter).jnd_of(self.at_pairs(parameter)))
@@ -171,7 +190,10 @@ class PositionsPrediction(Result):
         return np.asarray(ends / (2 * one))
 
     def parts(self, parameter: str) -> dict[str, Array]:
-        """Return the causes of the mean's uncertainty, as shares of its variance, largest first."""
+        """Return the causes of the mean's uncertainty, as shares of its variance, largest first.
+
+        ``parameter`` is the key of a predicted parameter, such as "t20".
+        """
         row = self.parameters.index(checks.choice("parameter", parameter, self.parameters))
         found = {name: share[row] for name, share in self.shares.items()}
         return dict(sorted(found.items(), key=lambda each: -float(each[1].mean())))

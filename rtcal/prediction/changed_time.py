@@ -119,7 +119,10 @@ class KnownRoom:
 
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
-        """Return a room in which nothing was measured, with its input coefficients."""
+        """Return a room in which nothing was measured, with its input coefficients.
+
+        ``equation`` gives T of the ``room``.
+        """
         checks.instance("room", room, Room)
         checks.instance("equation", equation, LinearEquation)
         between = between_materials(room.materials, [room])

@@ -146,7 +146,10 @@ class Prediction(TimeChange, Result):
         return self.possible(self.simulated.draws(self))
 
     def log_ratio(self, unknowns: Unknowns | None = None) -> Array:
-        """Return random samples of ln(T after / T before), (n_bands, n_draws)."""
+        """Return random samples of ln(T after / T before), (n_bands, n_draws).
+
+        ``unknowns`` are the random values of what is not known, by default those of this prediction.
+        """
         own, simulated = super().log_ratio(unknowns), self._by_program
         return (
             own if simulated is None else np.where(self.by_program[:, np.newaxis], simulated, own)
@@ -394,7 +397,10 @@ class Prediction(TimeChange, Result):
         return Row(f"{name}'s equation alone / s", after, ".2f")
 
     def within(self, target: Target) -> list[Row]:
-        """Return rows of a table: a range of T, and the probability that T is within it, by band."""
+        """Return rows of a table: a range of T, and the probability that T is within it, by band.
+
+        ``target`` has the ends of the range in s.
+        """
         return [
             Row("target: from / s", target.low, ".2f"),
             Row("        to / s", target.high, ".2f"),

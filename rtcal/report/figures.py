@@ -147,7 +147,10 @@ def _panels(n: int, abreast: int, height: float, frequencies: Array) -> tuple[An
 
 
 def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) -> None:
-    """Make x a logarithmic axis with the bands' centre frequencies, each with its text of ``below``."""
+    """Make x a logarithmic axis with the bands' centre frequencies, each with its text of ``below``.
+
+    ``axes`` are those of the figure, and ``frequencies`` are in Hz; ``below`` is None for no texts.
+    """
     many = len(frequencies) > _MANY_BANDS
     labels = [f"{f:g}" for f in frequencies]
     if below is not None:
@@ -159,7 +162,11 @@ def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) ->
 
 
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
-    """Draw measured T plus and minus one JND in grey; bands without T interrupt it."""
+    """Draw measured T plus and minus one JND in grey; bands without T interrupt it.
+
+    ``axes`` are those of the figure, ``frequencies`` the bands in Hz, and ``measured`` is T in s,
+    (n_bands,).
+    """
     low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
     axes.fill_between(frequencies, low, high, color="0.85", label="measured ± 1 JND")
     axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # visible also for a single band
@@ -183,6 +190,8 @@ def reverberation_time(result: CalibrationResult) -> Any:
 
     A letter below a band stands for a caution, which the axis label names. The figure is a matplotlib
     Figure.
+
+    ``result`` is what `rtcal.calibrate` returns.
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
@@ -211,6 +220,8 @@ def gap(result: CalibrationResult) -> Any:
     """Return the figure of modelled minus measured T in JND, before and after calibration.
 
     The figure, a matplotlib Figure, has a bar for each band before and a dot after calibration.
+
+    ``result`` is what `rtcal.calibrate` returns.
     """
     figure, axes = new_figure(7.0, 3.2)
     f = result.prior.centre_frequencies
@@ -259,6 +270,8 @@ def coefficients(result: CalibrationResult) -> Any:
 
     If there are more than twelve materials, those with the largest absorption area are drawn. The
     interval of the input is alpha ± 1.645 sigma, limited to 0 to 1.
+
+    ``result`` is what `rtcal.calibrate` returns.
     """
     room, (low, high) = result.prior, result.interval
     f = room.centre_frequencies
@@ -307,6 +320,8 @@ def plane(
     the line of all coefficients that give the measured absorption area ``target`` in m², and the step
     from mu to the calibrated ``alpha`` on this line. ``correlation`` is that between both coefficients.
     ``truth`` are the true coefficients; None draws none. Arrays are (2,), and ``areas`` are in m².
+
+    ``names`` are those of the two materials, and ``title`` is the text above the figure.
     """
     mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))
     figure, axes = new_figure(5.6, 5.9)
@@ -445,7 +460,10 @@ def predicted_times(
 
 
 def change(finding: Finding) -> Any:
-    """Return the figure of the change of the absorption area by band, with its interval."""
+    """Return the figure of the change of the absorption area by band, with its interval.
+
+    ``finding`` is what `rtcal.find` returns for two states.
+    """
     k = finding.case.known
     figure, axes = new_figure()
     frequencies = finding.case.room.centre_frequencies[k]
@@ -464,7 +482,10 @@ _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 
 
 def corrected_times(verification: Verification) -> Any:
-    """Return the figure of T over frequency: measured, input, calibrated, and with the effect."""
+    """Return the figure of T over frequency: measured, input, calibrated, and with the effect.
+
+    ``verification`` is what `rtcal.finder.verify` returns.
+    """
     from rtcal.finder.verification import reverberation_times
     from rtcal.report.finding_words import title
 
@@ -489,6 +510,8 @@ def corrected_shifts(verification: Verification) -> Any:
 
     It has a panel for each material, with 90 % intervals; those of the input values are grey. If there
     are more than `MOST_PANELS` materials, those whose absorption area changed most are drawn.
+
+    ``verification`` is what `rtcal.finder.verify` returns.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
     models = verification.calibrations
@@ -546,6 +569,8 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     standard deviations. A more probable wall is more orange. Surfaces that the positions do not
     distinguish have the same letter. ``place`` is a proposed position for a further receiver; None
     draws none. ``axes`` are those to draw on; None means a new figure.
+
+    ``finding`` is what `rtcal.find` returns for a comparison at positions.
     """
     from rtcal.finder.positions.surfaces import kind
 
@@ -617,6 +642,8 @@ def bars(verification: Verification, axes: Any = None) -> Any:
     """Return the figure of mean deviations at held-out data: input, calibrated and corrected model.
 
     Whiskers show the range over the seeds of the simulator. ``axes`` may be None for new ones.
+
+    ``verification`` is what `rtcal.finder.verify` returns.
     """
     if axes is None:
         _, axes = new_figure(5.2, 3.8)
@@ -648,6 +675,8 @@ def position_gaps(
     The deviation of a receiver is the root mean square over parameters, bands and sources, in JND, and
     is written beside its name. ``sources`` and ``receivers`` are positions (x, y, z) in m, by name.
     Raises DataError if a receiver of the result has no position.
+
+    ``result`` is the calibration, and ``geometry`` is the room's mesh.
     """
     names = list(dict.fromkeys(r for _, r in result.pairs))
     if missing := [name for name in names if name not in receivers]:

@@ -101,20 +101,34 @@ class RoomSimulator:
         return ()
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> Any:
-        """Return the simulator with more paths and less noise; unchanged if it has no noise."""
+        """Return the simulator with more paths and less noise; unchanged if it has no noise.
+
+        ``factor`` multiplies the number of paths, and ``n_batches`` is the new number of their batches.
+        """
         return self
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
-        """Trace paths for ``factor`` times Eyring's T, so that later simulations reuse them."""
+        """Trace paths for ``factor`` times Eyring's T, so that later simulations reuse them.
+
+        ``alpha`` (n_materials, n_bands) are the coefficients for which T is calculated, and ``seed`` is
+        that of the random numbers. Without paths nothing is done.
+        """
 
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
     ) -> Array | None:
-        """Return parameters from groups of the paths, which differ by noise; None without paths."""
+        """Return parameters from groups of the paths, which differ by noise; None without paths.
+
+        ``alpha`` (n_materials, n_bands) are the coefficients, ``number`` is that of the groups,
+        ``match`` are keys of the parameters, and ``seed`` is that of the random numbers.
+        """
         return None
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return the parameters that do not need the directivities of sources."""
+        """Return the parameters that do not need the directivities of sources.
+
+        ``match`` are the keys of the parameters to choose from.
+        """
         return tuple(match)
 
     def with_air(self, air: Air) -> Any:
@@ -331,7 +345,10 @@ class Observations:
         return found
 
     def at(self, like: Observations) -> Observations:
-        """Return these observations for the parameters and pairs of other observations."""
+        """Return these observations for the parameters and pairs of other observations.
+
+        ``like`` are these other observations.
+        """
         rows = [self.parameters.index(p) for p in like.parameters]
         columns = [self.pairs.index(pair) for pair in like.pairs]
         shape = (len(rows), len(columns), len(self.centre_frequencies))

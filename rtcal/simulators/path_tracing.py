@@ -133,6 +133,8 @@ class Tracer(RoomSimulator, ABC):
 
         Their shape is (n_batches, n_sources, n_receivers, n_bands, n_bins). ``alpha`` is (n_materials,
         n_bands). Raises DataError for ``seconds`` above `LONGEST`.
+
+        ``seed`` is that of the random numbers, by default 0.
         """
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
@@ -1231,6 +1233,8 @@ class PathTracing(Tracer):
         ``match`` are keys of the parameters. "level" is G, as of a source of known power. If ``again``
         is False, only the paths in memory are used, and TooShortError is raised if they are too short;
         otherwise longer paths are traced if necessary. Also raises the errors of `simulate`.
+
+        ``seed`` is that of the random numbers, by default 0.
         """
         most = LONGEST
         if not checks.flag("again", again):

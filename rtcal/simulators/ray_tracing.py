@@ -98,6 +98,8 @@ class RayTracing(Tracer):
         s, at most 60. ``alpha`` is (n_materials, n_bands). The first bin starts with the direct sound,
         whose mean energy is 1/(4 pi r²) at the distance r. Later energy is too high by a factor of up
         to 2, because pyroomacoustics counts scattered sound twice.
+
+        ``seed`` is that of the random numbers, by default 0.
         """
         alpha = np.maximum(check_alpha(self, alpha), LEAST_ALPHA)
         check_seconds(seconds)

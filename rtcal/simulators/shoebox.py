@@ -146,7 +146,11 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         return base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
 
     def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
-        """Return the derivatives of `observe` by alpha, from `rtcal.simulators.base.differences`."""
+        """Return the derivatives of `observe` by alpha, from `rtcal.simulators.base.differences`.
+
+        ``alpha`` (n_materials, n_bands) are the coefficients, and ``match`` the keys of the parameters.
+        ``seed`` has no effect.
+        """
         return base.differences(self, alpha, match, seed=seed)
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:

@@ -358,6 +358,9 @@ def analytic_scores(
     truncated normal distribution of alpha (`rtcal.studies.paper.analytic_emse`). The table has the
     columns of `Study.scores`.
 
+    ``areas`` are in m², ``sigma_r`` is the scale of the input uncertainties, and ``realisations`` the
+    number of random sets of input coefficients.
+
     Examples
     --------
     >>> table = analytic_scores([35, 35, 21, 21, 15, 15], 0.05, 2000, seed=1)

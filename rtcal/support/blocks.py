@@ -116,7 +116,11 @@ class Table:
         columns: Mapping[str, Sequence[str]],
         shades: Mapping[str, NDArray[Any]] | None = None,
     ) -> Table:
-        """Return the table of some columns of texts (n_rows,), with the names of its rows."""
+        """Return the table of some columns of texts (n_rows,), with the names of its rows.
+
+        ``names`` are the names of the rows, ``columns`` maps heads to texts, and ``shades`` maps heads
+        to the colours of the cells, from -1 (blue) to 1 (orange); by default there are none.
+        """
         shaded = [(shades or {}).get(c, [0.0] * len(names)) for c in columns]
         cells = zip(
             names, zip(*columns.values(), strict=True), zip(*shaded, strict=True), strict=True

@@ -115,7 +115,11 @@ class Recalibrated(Result):
         return {p.name: p.size for p in self.case.applied if np.isfinite(p.effect.neutral)}
 
     def blocks(self, plain: Recalibrated | None = None) -> list[Block]:
-        """Return tables of each material's input and calibrated alpha, and of the effects."""
+        """Return tables of each material's input and calibrated alpha, and of the effects.
+
+        ``plain`` is the calibration without the effects, whose alpha is shown as well; None leaves it
+        out.
+        """
         made: list[Block] = import_module(WORDS).of_recalibration(self, plain)
         return made
 
