@@ -342,7 +342,7 @@ BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
     (P(), [terms.AtMost("m0", "m1", band=8000)], DataError, "8000 Hz"),
     (P(), [terms.AtMost("m0", "m1", band=0)], DataError, "band = 0"),
     (P(), [terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)], ModelError, '"m3"'),
-    (P() + not_dpp, [], ModelError, "breaks cvxpy's rules"),
+    (P() + not_dpp, [], ModelError, "cvxpy cannot compile"),
     (P() + (lambda m: cp.norm(m.deviation[0])), [], ModelError, "not a quadratic program"),
     (P() + (lambda m: -cp.sum_squares(m.deviation)), [], ModelError, "not convex"),
     (P() + (lambda m: m.deviation), [], ModelError, "must return one number"),
