@@ -349,7 +349,10 @@ class Archive(Result):
     """Texts that identify the measured T from which the archive was learned (`CalibrationRecord`)."""
 
     def material(self, name: str) -> Material:
-        """Return a material with its sigma and source; DataError if it is not in the archive."""
+        """Return a material with its sigma and source; DataError if it is not in the archive.
+
+        ``name`` is the material's name.
+        """
         if name not in self.materials:
             raise DataError(
                 f'"{name}" is not a material of the archive, which has {", ".join(self.materials)}'

@@ -31,7 +31,10 @@ _HERE = Path(__file__).parent
 
 
 def path(name: str) -> Path:
-    """Return the path of a shipped file, for example ``path("bras_cr2/room.toml")``."""
+    """Return the path of a shipped file, for example ``path("bras_cr2/room.toml")``.
+
+    ``name`` is the file's path within rtcal's examples.
+    """
     return _HERE / checks.path("name", name)
 
 

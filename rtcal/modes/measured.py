@@ -201,7 +201,10 @@ class MeasuredModes:
         return np.asarray(DECAY / self.decays)
 
     def only(self, chosen: Sequence[int] | NDArray[np.intp]) -> MeasuredModes:
-        """Return some of the modes, by their numbers, in this order."""
+        """Return some of the modes, by their numbers, in this order.
+
+        ``chosen`` are numbers from 0, or True for each mode to keep.
+        """
         rows = np.sort(np.asarray(chosen, dtype=int))
         inside = rows.size and rows[0] >= 0 and rows[-1] < self.frequencies.size
         if not inside:

@@ -1249,8 +1249,8 @@ class PathTracing(Tracer):
         """Return the parameters from each group of paths, (number, n_parameters, n_pairs, n_bands).
 
         The groups are independent, so that their differences show the noise. ``number`` is the number
-        of groups, which must divide ``n_batches``. The other arguments, the scale of the values and the
-        errors are those of `observe`.
+        of groups, which must divide ``n_batches``. ``alpha``, ``match``, ``seed``, the scale of the values
+        and the errors are those of `observe`.
         """
         return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
@@ -1286,8 +1286,8 @@ class PathTracing(Tracer):
         Derivatives of decay times are those of their logarithms, as in `Observations`. They follow from
         the paths, because the energy E of a path that hit material j n times has dE / d alpha_j = -n E
         / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times from few paths change with
-        alpha in small steps, and the derivatives are those of the mean over the steps. Arguments and
-        errors are those of `observe`.
+        alpha in small steps, and the derivatives are those of the mean over the steps. ``alpha``,
+        ``match``, ``seed`` and the errors are those of `observe`.
         """
         alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
         return np.asarray(self._derivatives(alpha, match, seed, Paths.gradient)[0])
