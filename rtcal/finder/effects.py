@@ -1378,8 +1378,8 @@ def check_parameters(
                 place = "" if room is None else f' in "{shortened(room.name)}"'
                 rule = _rule(least, most)
                 if effect.parameters.get(name) is _MATERIAL:
-                    last = "" if most == inf else f" to {most:g}"
-                    rule = f"the number of a material of the room, counted from 0{last}"
+                    last = "" if most == inf else f" to {most:g} for its last"
+                    rule = f"the number of a material, from 0 for the room's first{last}"
                 raise DataError(f"{where}: {what} = {value:g} must be {rule}{place}")
         if name in effect.discrete and parameters[name] != int(parameters[name]):
             raise DataError(f"{where}: {name} = {parameters[name]:g} must be a whole number")

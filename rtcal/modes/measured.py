@@ -203,7 +203,7 @@ class MeasuredModes:
     def only(self, chosen: Sequence[int] | NDArray[np.intp]) -> MeasuredModes:
         """Return some of the modes, by their numbers, in this order.
 
-        ``chosen`` are numbers from 0, or True for each mode to keep.
+        ``chosen`` are numbers of modes, counted from 0.
         """
         rows = np.sort(np.asarray(chosen, dtype=int))
         inside = rows.size and rows[0] >= 0 and rows[-1] < self.frequencies.size

@@ -1249,8 +1249,8 @@ class PathTracing(Tracer):
         """Return the parameters from each group of paths, (number, n_parameters, n_pairs, n_bands).
 
         The groups are independent, so that their differences show the noise. ``number`` is the number
-        of groups, which must divide ``n_batches``. ``alpha``, ``match``, ``seed``, the scale of the values
-        and the errors are those of `observe`.
+        of groups, which must divide ``n_batches``. ``alpha``, ``match``, ``seed``, the scale of the
+        values and the errors are those of `observe`.
         """
         return np.array([of.values for of in self._observed(alpha, match, number, seed)])
 
