@@ -189,6 +189,9 @@ def test_a_file_of_others_stays(tmp_path, rtcal):
         ("--out room.csv", "room.csv"),
         ("--temperature 20 --t20 4000:25", "cannot be reached"),
         ("--t20 500:0.5 --t30 500:0.5", "--t20 and --t30 are both given"),
+        ("--t20 ''", "--t20 is empty"),
+        ("--t20 '500:0.9 kHz:2'", 'has no value after "500:"'),
+        ("--t20 '500:0.9 1000:'", 'has no value after "1000:"'),
         ("--t20 '900 800 700 700 600 600'", "900 s must be from 0.01 to 120 s"),
     ],
 )
@@ -200,8 +203,79 @@ def test_what_is_wrong_is_named_and_nothing_is_written(changed, place, tmp_path,
 
 def test_what_is_missing_is_listed(rtcal):
     missing = "--dimensions, --ceiling, --walls"
-    assert f"{missing}, --out are missing" in rtcal.refused("room", "--floor", "carpet")
+    assert f"{missing} are missing" in rtcal.refused("room", "--floor", "carpet")
     assert f"{missing} are missing" in rtcal.refused("room", "--floor", "carpet", "--t20", "0.5")
+
+
+def test_t_of_a_box_needs_no_file_and_its_air_is_stated(tmp_path, rtcal, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    sides = ["room", *box("9,7,3", "carpet", "plaster", "brick")]
+    said = " ".join(rtcal(*sides).split())
+    assert "Nothing is written" in said
+    assert not [*tmp_path.iterdir()]
+    assert "The air is assumed to have 20 °C and 50 % relative humidity" in said
+    times = [
+        json.loads(rtcal(*sides, *air, "--json"))["reverberation_time"]
+        for air in ((), ("--temperature", "20"), ("--temperature", "20", "--humidity", "50"))
+    ]
+    assert times[0] == times[1] == times[2]
+    assert "is assumed" not in rtcal(*sides, "--humidity", "50")
+
+
+@pytest.mark.parametrize(
+    ("pieces", "notes"),
+    [
+        ("--audience 25 --object person=25", ["25 (person) + 25 (--audience) = 50 in all"]),
+        ("--object person=5 --object pupils=7", ["5 (person) + 7 (pupils) = 12 in all"]),
+        ("--object person=25 --object 'wooden chair=25'", ["out of wooden chair, or they count"]),
+        ("--audience 25 --object armchair=2", ["out of armchair, or they count twice"]),
+        ("--object 'standing audience=25' --object 'wooden chair=25'", []),
+        ("--object 'theatre seat=25' --object desk=2", []),
+        ("--audience 25 --object desk=2", []),
+    ],
+)
+def test_what_counts_twice_is_noted(pieces, notes, rtcal):
+    said = " ".join(rtcal("room", *box("9,7,3", "0.1", "0.1", "0.1"), *shlex.split(pieces)).split())
+    for note in notes:
+        assert note in said
+    assert notes or not re.search("in all|count twice", said)
+
+
+@pytest.mark.parametrize(
+    ("material", "lacks"),
+    [
+        ("25 mm fabric wrapped acoustic panel", "25 mm"),
+        ("plywood, 18 mm", "18 mm"),
+        ("velour 32 oz", "32 oz"),
+        ("velour 18 oz", None),
+        ("fibreglass 25 mm", None),
+        ("1 inch fibreglass", None),
+    ],
+)
+def test_a_size_that_an_entry_does_not_state_is_said(material, lacks, rtcal):
+    said = " ".join(rtcal("room", *box("9,7,3", "0.1", "0.1", material)).split())
+    assert (f"was taken, which does not state {lacks}" in said) == (lacks is not None)
+    assert ("does not state" in said) == (lacks is not None)
+
+
+def test_a_response_in_place_of_t_names_the_command_that_reads_it(tmp_path, rtcal):
+    path, response = tmp_path / "room.toml", tmp_path / "S1-R1.wav"
+    rtcal("room", *box("9,7,3", "0.1", "0.1", "0.1"), "--out", path)
+    response.write_bytes(b"RIFF\xff\xff\xffWAVE")
+    for command in ("calibrate", "find"):
+        assert "`rtcal measure` makes the table" in rtcal.refused(command, path, response)
+
+
+@pytest.mark.parametrize("ceiling", ["acoustic tile", "plaster", "acoustic panel"])
+def test_a_factor_of_ten_is_said_first(ceiling, rtcal):
+    sides = ["room", *box("9,7,3", "carpet", ceiling, "plaster")]
+    times = json.loads(rtcal(*sides, "--json"))["reverberation_time"]
+    for factor in (0.1, 10):
+        stated = " ".join(f"{f:g}:{factor * t}" for f, t in zip(SIX[:3], times, strict=False))
+        said = rtcal(*sides, "--t20", stated)
+        assert "that of 10 decays at one position (ISO 3382-2)" in " ".join(said.split())
+        assert said.startswith("Likely a typing error")
+        assert f"T is {factor:g} times that of the input coefficients" in " ".join(said.split())
 
 
 def test_an_audience_that_leaves_leaves_the_floor(tmp_path):

@@ -130,6 +130,8 @@ def spectrum(
     DataError for another number of values, and for a text that is no band or no number.
     """
     before, *labelled = _LABEL.split(text.strip())
+    if not text.strip():
+        raise DataError(f'{option} is empty. Give values such as "500:0.8 1000:0.7"')
     if not labelled:
         try:
             values = numbers_of(text, {len(bands), *([1] if alone else [])}, option)
@@ -147,6 +149,8 @@ def spectrum(
                 f'{option}: "{text}" must be BAND:VALUE for each band, with the band in Hz '
                 'and no band twice, such as "500:0.8 1000:0.7"'
             )
+        if not value.strip():
+            raise DataError(f'{option}: "{text}" has no value after "{label}:"')
         (found[band],) = numbers_of(value, [1], f"{option}, {label}")
     return found
 

@@ -583,7 +583,7 @@ def stated_air(temperature: float | None, humidity: float | None) -> Air | None:
 
     if temperature is None and humidity is None:
         return None
-    return Air(20 if temperature is None else temperature, 50 if humidity is None else humidity)
+    return Air(20.0 if temperature is None else temperature, 50.0 if humidity is None else humidity)
 
 
 def air_note(room: Room) -> str:

@@ -15,7 +15,6 @@ import click
 
 from rtcal.command import console
 from rtcal.command.import_room import (
-    AIR,
     NAME,
     SIGMA,
     air_note,
@@ -42,6 +41,13 @@ _STATED = "stated with the room"
 _OF_PIECES = (
     "m² of one piece, and its sigma, in the same bands: the standard deviation between the values that "
     "are named, or that of all pieces if it is larger"
+)
+_ASSUMED_AIR = (
+    "The air is assumed to have 20 °C and 50 % relative humidity; others with --temperature and "
+    "--humidity."
+)
+_UNCERTAINTY_OF_T = (
+    "The uncertainty of T is that of 10 decays at one position (ISO 3382-2), because none is given."
 )
 _COPIES = "The values are from copies of these tables, not from the works themselves:"
 
@@ -79,7 +85,8 @@ _COPIES = "The values are from copies of these tables, not from the works themse
         "objects",
     ),
     "bands",
-    *AIR,
+    console.option("temperature", float, "Temperature of the air in °C; by default 20."),
+    console.option("humidity", float, "Relative humidity in %; by default 50."),
     *SIGMA,
     "t20",
     "t30",
@@ -124,7 +131,6 @@ def room(
     if ask:
         _ask(stated, times, materials, four)
     needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)))
-    needed = needed if times else (*needed, "out")
     if missing := [f"--{name}" for name in needed if not stated[name]]:
         raise DataError(
             f"{', '.join(missing)} {'are' if missing[1:] else 'is'} missing. Add "
@@ -134,6 +140,7 @@ def room(
     spare([] if out is None else [out], [])
     console.fit_ending("--out", out, ".toml")
     made, notes = _made(materials, own, **stated)
+    notes += [_UNCERTAINTY_OF_T] if times else []
     said, record = described(made, [], notes, {})
     path = shlex.quote(out or "room.toml")
     which = "" if equation.key == "eyring" else f" --equation {equation.key}"
@@ -221,7 +228,7 @@ def _made(
         areas=with_patches(geometry.surfaces, patches),
         centre_frequencies=materials.bands,
         sigma_rule=rule,
-        air=stated_air(temperature, humidity),
+        air=stated_air(20.0 if temperature is None else temperature, humidity),
     )
     counted = console.numbers("--object", objects, _OBJECT)
     free = [materials.piece(each, n) for each, n in counted.items()]
@@ -232,6 +239,7 @@ def _made(
             refuse_too_many(place, piece.number, piece.area_per_piece, made.total_area)
         rows = [*map(made.material, made.materials), *(piece.as_material() for piece in free)]
         made = made.with_rows(rows, pieces=[piece.name for piece in free])
+        materials.notes += _counted_twice(audience, counted)
     doubt = units.size_doubt(made.volume, size, unit, advice=units.OF_SIDES)
     said = f"{units.in_words(size)}: length (x), width (y), height (z)"
     notes = [
@@ -239,9 +247,37 @@ def _made(
         *filter(None, [doubt]),
         *materials.notes,
         assumed_sigma(rule, materials.listed),
-        air_note(made),
+        air_note(made) if temperature is not None or humidity is not None else _ASSUMED_AIR,
     ]
     return made.replace(dimensions=size), notes
+
+
+def _counted_twice(audience: int | None, counted: dict[str, float]) -> list[str]:
+    """Return notes on persons, and on chairs with persons on them, that are stated in two ways."""
+    from rtcal.datasets import catalogue
+
+    entries = {name: catalogue.found(name, catalogue.pieces())[0] for name in counted}
+    persons = {name: counted[name] for name, of in entries.items() if _PERSONS.search(of)}
+    if audience is not None:
+        persons["--audience"] = audience
+    chairs = [name for name, of in entries.items() if _CHAIRS.fullmatch(of)]
+    on_chairs = [n for n in persons if n == "--audience" or _ON_CHAIRS.search(entries[n])]
+    notes = []
+    if len(persons) > 1:
+        each = " + ".join(f"{n:g} ({name})" for name, n in persons.items())
+        notes.append(f"Persons add up: {each} = {sum(persons.values()):g} in all")
+    if on_chairs and chairs:
+        notes.append(
+            f"{', '.join(on_chairs)}: the values are of persons on their chairs. Leave these chairs "
+            f"out of {', '.join(chairs)}, or they count twice"
+        )
+    return notes
+
+
+_PERSONS = re.compile("person|pupil|child|musician|occupied")
+_CHAIRS = re.compile("(?!occupied).*(chair|seat)")
+_ON_CHAIRS = re.compile("seated|pupil|occupied")
+"""Entries of persons, of chairs without them, and of persons on chairs."""
 
 
 class _Materials:
@@ -324,10 +360,14 @@ class _Materials:
 
     def _taken(self, name: str, near: list[str]) -> str:
         """Return the first of the entries that resemble a name, with a note if its name is another."""
+        from rtcal.datasets import catalogue, lookup
+
         entry, *others = near
         if entry != name:
             similar = f"; similar names are {', '.join(others)}" if others else ""
-            self.notes.append(f"For {name} the catalogue's {entry} was taken{similar}")
+            lacks = lookup.unstated(name, entry, {**catalogue.names(), **catalogue.pieces()}[entry])
+            lacking = f", which does not state {' and '.join(lacks)}" if lacks else ""
+            self.notes.append(f"For {name} the catalogue's {entry} was taken{lacking}{similar}")
         return entry
 
 

@@ -307,7 +307,7 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
 
     ``among`` are `pieces`; None means the materials. Only the entry is returned if the name is its own.
     Raises DataError, with the nearest names, for a name that means no entry, such as "steel", and for
-    one that states a finish or a form alone, such as "blue paint".
+    one without the name of a thing, such as "blue paint" and "not carpet".
 
     Examples
     --------
@@ -327,11 +327,15 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
     if among is not None:
         kind, option, other = "piece", "its other names are materials of surfaces", names()
     said = f'the catalogue has no {kind} like "{shortened(name, 60)}"'
-    bare = not lookup.words(name)
-    said += ": a finish or a form does not state what has it" if bare else ""
+    if not lookup.words(name):
+        raise DataError(
+            f"{said}: no name of a {kind} is in it, at most a finish, a form or what it is without"
+        )
     near = [n for n in meant.nearest if n in described][:_OTHERS]
     near = near or similar(name, _OTHERS, among) or _in_letters(name, described)
-    said += f". The nearest names are {', '.join(near)}" if near else ""
+    said += (
+        f". The nearest {'names are' if near[1:] else 'name is'} {', '.join(near)}" if near else ""
+    )
     elsewhere = _meaning(name, other)
     beyond = [n for n in (elsewhere.entry, *meant.nearest) if n in other]
     if beyond:

@@ -19,7 +19,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-__all__ = ["Meaning", "Name", "meaning", "name_of", "table", "words"]
+__all__ = ["Meaning", "Name", "meaning", "name_of", "table", "unstated", "words"]
 __dir__ = __all__.copy
 
 _LEAST_LIKENESS = 0.83
@@ -35,8 +35,8 @@ _LINKS = ("", "s", "n", "en", "es", "er")
 _ENDINGS = ("s", "es", "e", "n", "en", "er", "em", "ed")
 _THICKNESSES = (25.0, 50.0, 75.0, 100.0)
 """mm: thicknesses in which porous absorbers are tabulated."""
-_SAME_THICKNESS = 1.25
-"""Largest ratio of two thicknesses that count as one."""
+_SAME_SIZE = 1.25
+"""Largest ratio of two thicknesses, or weights, that count as one."""
 _MM = {
     "mm": 1.0,
     "cm": 10.0,
@@ -53,6 +53,14 @@ _OF_POROUS = {"minwool", "glasswool", "rockwool", "fibreglass", "foam", "woodwoo
 """Words of absorbers whose thickness decides."""
 _LENGTH = re.compile(
     r"(\d{1,4}(?:[.,]\d{1,4})?|\d{1,2}/[1-9]\d?)\s*-?\s*(mm|cm|inches|inch|in\b|\"|″|”|'')"
+)
+_WEIGHTS = (200.0, 338.0, 475.0, 610.0)
+"""g/m²: weights in which curtains are tabulated; 10, 14 and 18 oz/yd² are the last three."""
+_G_PER_M2 = {"oz": 33.906, "g": 1.0, "gsm": 1.0, "kg": 1000.0}
+"""Weight of an area in g/m² of each unit; an ounce is of a square yard."""
+_WEIGHT = re.compile(
+    r"(\d{1,4}(?:[.,]\d{1,4})?)\s*-?\s*"
+    r"(?:(oz)\b(?:\s*(?:/|per)\s*(?:sq\.?\s*)?yd2?)?|(gsm)\b|(k?g)\s*/\s*(?:m2|sqm|qm))"
 )
 _CAMEL = re.compile(r"(?<=[a-zß-ÿ])(?=[A-ZÀ-Þ])")
 """Where a word begins within one, as in ConcreteBlock."""
@@ -194,14 +202,14 @@ def name_of(text: str) -> Name:
     (frozenset({'plaster'}), frozenset({'brick'}))
     """
     read = _Reader()
-    for token in re.findall(r"\d+mm|[^\W\d_]{2,40}|[,;:()]", _plainly(text)):
+    for token in re.findall(r"\d+(?:mm|gsm)|[^\W\d_]{2,40}|[,;:()]", _plainly(text)):
         read.token(token)
     return read.name()
 
 
 def _plainly(text: str) -> str:
-    """Return a text in small letters, with thicknesses and what is said in several words as words."""
-    plain = _LENGTH.sub(_thickness, _folded(_CAMEL.sub(" ", text)))
+    """Return a text in small letters, with sizes and what is said in several words as words."""
+    plain = _LENGTH.sub(_thickness, _WEIGHT.sub(_weight, _folded(_CAMEL.sub(" ", text))))
     plain = re.sub(r"[_\-/&+]", " ", plain)
     for phrase, word in sorted(table()["phrases"].items(), key=lambda each: -len(each[0])):
         plain = re.sub(rf"\b{_folded(phrase).replace(' ', '[ ]+')}s?\b", word, plain)
@@ -275,10 +283,19 @@ def _of_size(word: str) -> bool:
 def _thickness(found: re.Match[str]) -> str:
     """Return a thickness as a word, such as 50mm, of those in which absorbers are tabulated."""
     top, _, bottom = found[1].replace(",", ".").partition("/")
-    mm = float(top) / float(bottom or 1) * _MM[found[2]]
-    near = min(_THICKNESSES, key=lambda each: abs(each - mm))
-    same = mm > 0 and max(near / mm, mm / near) <= _SAME_THICKNESS
-    return f" {near if same else mm:.0f}mm "
+    return f" {_tabulated(float(top) / float(bottom or 1) * _MM[found[2]], _THICKNESSES):.0f}mm "
+
+
+def _weight(found: re.Match[str]) -> str:
+    """Return a weight of an area as a word, such as 610gsm, of those that curtains have."""
+    unit = found[2] or found[3] or found[4]
+    return f" {_tabulated(float(found[1].replace(',', '.')) * _G_PER_M2[unit], _WEIGHTS):.0f}gsm "
+
+
+def _tabulated(size: float, sizes: Collection[float]) -> float:
+    """Return the one of ``sizes`` that is nearest to a size; the size itself if none is the same."""
+    near = min(sizes, key=lambda each: abs(each - size))
+    return near if size > 0 and max(near / size, size / near) <= _SAME_SIZE else size
 
 
 @cache
@@ -324,6 +341,17 @@ def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
         return Meaning(order[0], tuple(entry for entry in order[1:] if not left[entry]))
     named = [entry for entry in order if rank[entry][4]]
     return Meaning(None, (*dict.fromkeys((*named, *_near(asked.thing), *order)),))
+
+
+def unstated(text: str, entry: str, description: str) -> list[str]:
+    """Return the thicknesses and weights of a name that an entry does not state.
+
+    >>> unstated("plywood, 18 mm", "plywood_10mm", "Plywood panelling, 1 cm thick")
+    ['18 mm']
+    """
+    own = {word for word in _own(entry, description) if _of_size(word)}
+    found = (*_LENGTH.finditer(_folded(text)), *_WEIGHT.finditer(_folded(text)))
+    return [each[0].strip() for each in found if name_of(each[0]).thing - own]
 
 
 def _own(entry: str, description: str) -> frozenset[str]:
