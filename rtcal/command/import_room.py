@@ -69,9 +69,13 @@ NAME = console.option(
 )
 AIR = (
     console.option(
-        "temperature", float, "Temperature of the air in °C (20 with --humidity alone)."
+        "temperature",
+        float,
+        "Temperature of the air in °C (20 with --humidity alone, or for a box).",
     ),
-    console.option("humidity", float, "Relative humidity in % (50 with --temperature alone)."),
+    console.option(
+        "humidity", float, "Relative humidity in % (50 with --temperature alone, or for a box)."
+    ),
 )
 SIGMA = (
     console.option("sigma-relative", float, "sigma as a share of alpha.", "relative", default=0.3),

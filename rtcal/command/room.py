@@ -15,6 +15,7 @@ import click
 
 from rtcal.command import console
 from rtcal.command.import_room import (
+    AIR,
     NAME,
     SIGMA,
     air_note,
@@ -85,8 +86,7 @@ _COPIES = "The values are from copies of these tables, not from the works themse
         "objects",
     ),
     "bands",
-    console.option("temperature", float, "Temperature of the air in °C; by default 20."),
-    console.option("humidity", float, "Relative humidity in %; by default 50."),
+    *AIR,
     *SIGMA,
     "t20",
     "t30",
