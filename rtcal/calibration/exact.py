@@ -89,9 +89,9 @@ def solve(
         the bounds. With a status other than 0, alpha and D are NaN.
 
         The bounds allow b from b_min = sum S lower to b_max = sum S upper. Because sums are rounded, a
-        b that is beyond b_min or b_max by at most 16 n eps sum |S bound|, with eps = 2.2e-16, counts as
-        equal to it and has the status 0. All coefficients are then at their bounds, which many values
-        of D give; the one nearest to 0 is returned.
+        b that differs from b_min or b_max by at most 16 n eps sum |S bound|, with eps = 2.2e-16, counts
+        as equal to it if u = 0, and has the status 0. All coefficients are then at their bounds, which
+        many values of D give; the one nearest to 0 is returned.
 
     Raises
     ------

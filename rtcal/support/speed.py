@@ -69,10 +69,10 @@ def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
     pool.shutdown()
 
 
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+_Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 
-def compiled(*, reorder: bool, inner: bool = False) -> Callable[[Kernel], Kernel]:
+def compiled(*, reorder: bool, inner: bool = False) -> Callable[[_Kernel], _Kernel]:
     """Return the decorator that compiles a function, which then runs without the interpreter's lock.
 
     ``reorder`` allows the compiler to reorder sums, which vector instructions need; for compensated
@@ -88,11 +88,11 @@ def compiled(*, reorder: bool, inner: bool = False) -> Callable[[Kernel], Kernel
     entries = {"no_cfunc_wrapper": True, "no_cpython_wrapper": inner}
     made = numba.njit(nogil=True, fastmath=freedom, error_model="numpy", **entries)
 
-    def decorate(kernel: Kernel) -> Kernel:
+    def decorate(kernel: _Kernel) -> _Kernel:
         dispatcher = made(kernel)
         with suppress(RuntimeError):
             dispatcher.enable_caching()
-        kept: Kernel = dispatcher
+        kept: _Kernel = dispatcher
         return kept
 
     return decorate
