@@ -111,8 +111,8 @@ class SigmaRule:
 
     sigma = in_situ_factor * max(relative * alpha, minimum). If ``iso_12999_2`` is True, the maximum
     also includes sigma_R of ISO 12999-2 (default False). ``relative`` (default 0.3) is a share of
-    alpha, and ``minimum`` (default 0.01) a coefficient. ``in_situ_factor`` (default 1) allows for another
-    specimen, mounting, age or paint than that of the stated coefficients.
+    alpha, and ``minimum`` (default 0.01) a coefficient. ``in_situ_factor`` (default 1) allows for
+    another specimen, mounting, age or paint than that of the stated coefficients.
 
     Raises
     ------

@@ -108,7 +108,7 @@ class CompiledProblem:
                 "convex, or multiplies or divides two quantities that depend on room or "
                 "measurement, such as m.alpha, m.target or your m.parameter. Compute a product of "
                 "two of your parameters in one m.parameter(shape, compute); in a product of "
-                "m.alpha and a parameter p write p * m.defined(m.alpha)"
+                "m.alpha and a parameter p write cp.multiply(p, m.defined(m.alpha))"
             )
         for parameter, _ in m.parameters:  # cvxpy compiles none without a value
             parameter.save_value(np.ones(parameter.shape))

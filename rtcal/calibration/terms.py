@@ -115,7 +115,8 @@ class Model:
 
         ``expression`` is any linear expression, such as `alpha`. An expression that depends on room or
         measurement must not be multiplied by a `parameter` p, because cvxpy would then compile the
-        problem anew in each solve. Write ``p * m.defined(expression)`` instead.
+        problem anew in each solve. Write ``cp.multiply(p,
+        m.defined(expression))`` instead.
         """
         variable = cp.Variable(expression.shape)
         self.definitions.append(variable == expression)
