@@ -378,7 +378,7 @@ def histogram_gradient(
     is (n_receivers, n_bands, n_bins), and ``gradient`` (n_receivers, n_bins, n_groups, n_bands).
     """
     n_receivers, n_bins, n_groups, _ = gradient.shape
-    together = max([_RECEPTIONS, *(int(np.diff(starts).max()) for _, starts, *_ in batches)])
+    together = max([_RECEPTIONS, *[int(np.diff(starts).max()) for _, starts, *_ in batches]])
     scratch = np.empty(together), np.empty(together, np.int64), np.empty((BANDS, together))
     hits = np.empty((together + 1, n_groups))
     for bands, of_bands in _in_blocks(weighing):
