@@ -208,7 +208,7 @@ def listed(place: str, value: object) -> tuple[Any, ...]:
 def texts(place: str, value: object) -> tuple[str, ...]:
     """Return the members of a sequence of texts; DataError for one text and for anything else."""
     every = listed(place, value)
-    return tuple(text(f"{place}[{i}]", each) for i, each in enumerate(every))
+    return tuple([text(f"{place}[{i}]", each) for i, each in enumerate(every)])
 
 
 def text_by_name(place: str, value: object) -> dict[str, str]:
