@@ -1376,8 +1376,9 @@ def check_parameters(
         for what, value in stated:
             if not (isfinite(value) and least <= value <= most):
                 place = "" if room is None else f' in "{shortened(room.name)}"'
-                rule = _rule(least, most)
-                if effect.parameters.get(name) is _MATERIAL:
+                parameter = effect.parameters.get(name, Parameter())
+                rule = _rule(least, most) + f" ({parameter.unit})" * bool(parameter.unit)
+                if parameter is _MATERIAL:
                     last = "" if most == inf else f" to {most:g} for its last"
                     rule = f"the number of a material, from 0 for the room's first{last}"
                 raise DataError(f"{where}: {what} = {value:g} must be {rule}{place}")
