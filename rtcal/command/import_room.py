@@ -581,13 +581,18 @@ _PROPOSED = 12
 """Largest number of missing materials for which a message has proposals."""
 
 
+USUAL_CLIMATE = (20.0, 50.0)
+"""Temperature in °C and relative humidity in % of a room in use, where they are not stated."""
+
+
 def stated_air(temperature: float | None, humidity: float | None) -> Air | None:
     """Return the air of the options; None without either."""
     from rtcal.acoustics.air import Air
 
     if temperature is None and humidity is None:
         return None
-    return Air(20.0 if temperature is None else temperature, 50.0 if humidity is None else humidity)
+    stated = zip((temperature, humidity), USUAL_CLIMATE, strict=True)
+    return Air(*(usual if value is None else value for value, usual in stated))
 
 
 def air_note(room: Room) -> str:

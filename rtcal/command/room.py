@@ -18,6 +18,7 @@ from rtcal.command.import_room import (
     AIR,
     NAME,
     SIGMA,
+    USUAL_CLIMATE,
     air_note,
     assumed_sigma,
     described,
@@ -43,9 +44,10 @@ _OF_PIECES = (
     "m² of one piece, and its sigma, in the same bands: the standard deviation between the values that "
     "are named, or that of all pieces if it is larger"
 )
+_USUAL = [f"{value:g}" for value in USUAL_CLIMATE]
 _ASSUMED_AIR = (
-    "The air is assumed to have 20 °C and 50 % relative humidity; others with --temperature and "
-    "--humidity."
+    f"The air is assumed to have {_USUAL[0]} °C and {_USUAL[1]} % relative humidity; others with "
+    "--temperature and --humidity."
 )
 _UNCERTAINTY_OF_T = (
     "The uncertainty of T is that of 10 decays at one position (ISO 3382-2), because none is given."
@@ -190,6 +192,7 @@ def _made(
     **sigma: Any,
 ) -> tuple[Room, list[str]]:
     """Return the room, and the notes on what was taken and assumed."""
+    from rtcal.acoustics.air import Air
     from rtcal.acoustics.priors import SigmaRule
     from rtcal.acoustics.room import refuse_too_many, with_patches
     from rtcal.io.material_list import MaterialList
@@ -218,7 +221,7 @@ def _made(
         materials.notes.append(
             f"{audience} persons are seated on {audience} m² of the floor, 1 m² each"
         )
-    geometry = Polyhedron.shoebox(size, of_box)
+    geometry, air = Polyhedron.shoebox(size, of_box), stated_air(temperature, humidity)
     rule = SigmaRule(**sigma)
     made = MaterialList(
         path="the options", text=Text(""), materials=(*materials.listed.values(),)
@@ -228,7 +231,7 @@ def _made(
         areas=with_patches(geometry.surfaces, patches),
         centre_frequencies=materials.bands,
         sigma_rule=rule,
-        air=stated_air(20.0 if temperature is None else temperature, humidity),
+        air=air or Air(*USUAL_CLIMATE),
     )
     counted = console.numbers("--object", objects, _OBJECT)
     free = [materials.piece(each, n) for each, n in counted.items()]
@@ -247,7 +250,7 @@ def _made(
         *filter(None, [doubt]),
         *materials.notes,
         assumed_sigma(rule, materials.listed),
-        air_note(made) if temperature is not None or humidity is not None else _ASSUMED_AIR,
+        air_note(made) if air is not None else _ASSUMED_AIR,
     ]
     return made.replace(dimensions=size), notes
 
@@ -256,12 +259,13 @@ def _counted_twice(audience: int | None, counted: dict[str, float]) -> list[str]
     """Return notes on persons, and on chairs with persons on them, that are stated in two ways."""
     from rtcal.datasets import catalogue
 
-    entries = {name: catalogue.found(name, catalogue.pieces())[0] for name in counted}
-    persons = {name: counted[name] for name, of in entries.items() if _PERSONS.search(of)}
+    described = catalogue.pieces()
+    of = {name: catalogue.holds(catalogue.found(name, described)[0]) for name in counted}
     if audience is not None:
-        persons["--audience"] = audience
-    chairs = [name for name, of in entries.items() if _CHAIRS.fullmatch(of)]
-    on_chairs = [n for n in persons if n == "--audience" or _ON_CHAIRS.search(entries[n])]
+        of["--audience"], counted = {"person", "chair"}, {**counted, "--audience": audience}
+    persons = {name: counted[name] for name in of if "person" in of[name]}
+    chairs = [name for name in of if of[name] == {"chair"}]
+    on_chairs = [name for name in persons if "chair" in of[name]]
     notes = []
     if len(persons) > 1:
         each = " + ".join(f"{n:g} ({name})" for name, n in persons.items())
@@ -272,12 +276,6 @@ def _counted_twice(audience: int | None, counted: dict[str, float]) -> list[str]
             f"out of {', '.join(chairs)}, or they count twice"
         )
     return notes
-
-
-_PERSONS = re.compile("person|pupil|child|musician|occupied")
-_CHAIRS = re.compile("(?!occupied).*(chair|seat)")
-_ON_CHAIRS = re.compile("seated|pupil|occupied")
-"""Entries of persons, of chairs without them, and of persons on chairs."""
 
 
 class _Materials:
@@ -537,8 +535,8 @@ def _ask(
         ("floor", "Material of the floor", partial(material, "floor"), None),
         ("ceiling", "Material of the ceiling", partial(material, "ceiling"), None),
         ("walls", "Material of the walls", partial(material, "walls"), None),
-        ("temperature", "Temperature / °C", partial(climate, "temperature"), "20"),
-        ("humidity", "Relative humidity / %", partial(climate, "humidity"), "50"),
+        ("temperature", "Temperature / °C", partial(climate, "temperature"), _USUAL[0]),
+        ("humidity", "Relative humidity / %", partial(climate, "humidity"), _USUAL[1]),
         ("out", "File to write", lambda text: text, "room.toml"),
     )
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import difflib
 import json
 import re
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -146,6 +145,14 @@ def pieces() -> dict[str, str]:
     }
 
 
+def holds(name: str) -> set[str]:
+    """Return what the absorption area of a piece is of: "person", "chair", both, or neither.
+
+    ``name`` is a key of `pieces`. A person on a chair is both.
+    """
+    return {*next(each.get("holds", ()) for each in _tabulated()["piece"] if each["name"] == name)}
+
+
 _FROM = {
     (False, False): "",
     (True, False): "mean of ",
@@ -245,18 +252,14 @@ def _areas() -> dict[str, tuple[Array, Array]]:
     return {name: (means[name], np.append(each, each[-1])) for name, each in relative.items()}
 
 
-@cache
 def _published() -> dict[str, dict[str, list[Any]]]:
     """Return the materials of ``materials.toml`` by the source that ``pieces.toml`` has."""
-    text = resources.files("rtcal.datasets").joinpath("materials.toml").read_text("utf-8")
-    return tomllib.loads(text)
+    return lookup.table("materials.toml")
 
 
-@cache
 def _tabulated() -> dict[str, Any]:
     """Return the sources and the pieces of ``pieces.toml``."""
-    text = resources.files("rtcal.datasets").joinpath("pieces.toml").read_text("utf-8")
-    return tomllib.loads(text)
+    return lookup.table("pieces.toml")
 
 
 def origin() -> str:

@@ -90,10 +90,9 @@ class Meaning:
 
 
 @cache
-def table() -> dict[str, Any]:
-    """Return the whole ``material_names.toml``."""
-    text = resources.files("rtcal.datasets").joinpath("material_names.toml").read_text("utf-8")
-    return tomllib.loads(text)
+def table(name: str = "material_names.toml") -> dict[str, Any]:
+    """Return a whole file of the catalogue, by default that of the names."""
+    return tomllib.loads(resources.files("rtcal.datasets").joinpath(name).read_text("utf-8"))
 
 
 def _folded(text: str) -> str:

@@ -120,7 +120,7 @@ def sentence(v: Verification) -> str:
         ]
         if v.verdict == "unproven":
             effect = "the effect" if v.corrected is None else found
-            return " ".join(filter(None, [*_unproven(v, effect, gain, measured)]))
+            return " ".join(filter(None, _unproven(v, effect, gain, measured)))
         said = [
             f"The correction is {v.verdict}{but if supported else ''}: {gain}",
             *measured,
