@@ -289,11 +289,7 @@ class CaseModel(RoomSimulator):
         return self.inner is None or self.inner.deterministic
 
     def state(self, alpha: Array) -> RoomState:
-        """Return the acoustic state of the model with coefficients ``alpha`` (n_materials, n_bands).
-
-        The materials are those of ``room``: the input materials, then one for each effect that absorbs.
-        A change of the absorption of the latter does not change the shape of the decay.
-        """
+        """Return the state with alpha (n_materials, n_bands) of the materials of ``room``."""
         equation = mean_equation(self.whole.equation)
 
         def absorbed(of: Array) -> Array:
@@ -383,11 +379,8 @@ def _absorbing(s: RoomState) -> Array:
 def corrected_case(case: Case) -> Corrected:
     """Return the corrected room of a case, to which each of the case's effects is added in turn.
 
-    An effect that changes an input material, such as a cover, changes this material's coefficients, and
-    the material's ``source`` names the effect. An effect that adds absorption becomes a material after
-    the input materials, with the mean scattering coefficient of the walls.
-
-    Raises DataError if a coefficient would be below 0 or above 1.
+    An effect that changes an input material changes its coefficients, and the material's ``source``
+    names it. One that adds absorption becomes a material after the input materials.
     """
     base = replace(case.configurations[0], changes={}, suspect_removed=False, air=None)
     room, air, last_air = case.room, case.room.air, "air"
@@ -464,10 +457,7 @@ def _absorbers(
     gains: Sequence[tuple[AppliedEffect, Array]],
     absent: dict[str, list[Reason]],
 ) -> list[Material]:
-    """Return a material for each effect that adds absorption; ``absent`` gets what none represents.
-
-    ``gains`` (2, n_bands) are what each effect changes of the state's covering and objects.
-    """
+    """Return materials of effects that add absorption; ``absent`` gets what none represents."""
     equation, walls = mean_equation(whole.equation), whole.total_area
     at = replace(whole, covering=0.0, objects=0.0)
     scattering = None
@@ -673,11 +663,7 @@ def _in_geometry(
     new: Sequence[Material],
     uncertainty: float = POSITION,
 ) -> Room:
-    """Return the room with the new materials of a geometry, and its tracer's scattering and places.
-
-    A material keeps its stated area but for what new ones take of it in the geometry. The scene names
-    no mesh: the room's own is that of the geometry before.
-    """
+    """Return the room with a geometry's areas and new materials; its scene names no mesh."""
     left = room.areas - _behind(room, tracer.geometry, geometry)
     drawn = geometry.areas
     kept = [
@@ -707,10 +693,7 @@ def _in_geometry(
 
 
 def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
-    """Return the name of the surface at a point ``at``, (x, y, z) in m.
-
-    Raises DataError if the point is far from every surface.
-    """
+    """Return the name of the surface at a point (x, y, z) in m; DataError far from every surface."""
     place = point(at)
     face, distance = face_at(case.geometry, place)
     name = next((n for n, faces in case.faces.items() if face in faces), None)
@@ -735,13 +718,11 @@ def point(at: Sequence[float]) -> Array:
 def changed_room(
     case: StatesCase, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
 ) -> Corrected:
-    """Return the room after a change, from measurements before and after it.
+    """Return the room after a change, by its area before (n_bands,) and the change (3, n_bands) in m².
 
-    ``area`` (n_bands,) is the absorption area before the change, and ``change`` (3, n_bands) its
-    change, both in m²: the mean, and the lower and upper end of the 90 % interval. ``surfaces`` are the
-    names of the surfaces that changed; empty if they are not identified. ``kinds`` are the names of the
-    effects that may be the change. The coefficients are those of a calibration to T before the change,
-    plus the mean change. Their sigma contains the uncertainty of the change.
+    The coefficients are those of a calibration to T before, plus the mean change; their sigma
+    contains the uncertainty of the change. ``surfaces`` are those that changed, if any is
+    identified, and ``kinds`` the effects that may be the change.
     """
     labels = bands.labels(case.room.centre_frequencies)
     stated = case.room.replace(calibration=None)

@@ -96,10 +96,7 @@ a hygrometer on a wall leave this much open in a room. The values are a judgemen
 
 
 def _checked_climate_uncertainty(value: object) -> tuple[float, float]:
-    """Return standard uncertainties of temperature in K and of relative humidity in %, after a check.
-
-    Raises DataError unless ``value`` consists of two numbers, each 0 or more.
-    """
+    """Return standard uncertainties in K and in % of humidity; DataError for any below 0."""
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
         raise DataError(
@@ -118,15 +115,7 @@ class _ChangedTable(FileTable):
 
 
 class _ConfigurationTable(FileTable):
-    """Hold the table of one configuration in a case's file.
-
-    ``measured`` is the name of a measurement's file, or its values as `Measurement.to_dict` returns
-    them. A configuration that is not yet measured has ``parameters``, the names of the parameters that
-    will be measured, and ``positions``, the number of source-receiver pairs. ``simulated`` has the
-    result of a simulation program, in the form of ``measured``. ``at`` has the coefficients that the
-    program used: the name of a room's file, or alpha (n_materials, n_bands); None means those of the
-    case's room.
-    """
+    """Hold the table of one configuration in a case's file; the text of this module has its keys."""
 
     name: str | None = None
     measured: str | MeasurementTable | None = None
@@ -372,12 +361,7 @@ class Configuration:
 def _configuration(
     table: _ConfigurationTable, room: Room, folder: Path, stated: _Uncertainty
 ) -> Configuration:
-    """Return the configuration that one table of a case's file describes.
-
-    File names in the ``table`` are relative to ``folder``. ``room`` is the case's room. Measured values
-    that have no uncertainty get that of ``stated``. Raises DataError as `Configuration` does, and for a
-    table without a measurement.
-    """
+    """Return the configuration of a table, whose values without uncertainty get that of ``stated``."""
     where = f'configuration "{table.name}"'
     planned = table.planned or table.parameters is not None
     if table.parameters is not None:
@@ -658,10 +642,7 @@ class Case:
 
 
 def _checked_facing(room: Room, stated: Any) -> Array:
-    """Return each material's shares of area along x, y and z, (n_materials, 3); NaN where unknown.
-
-    None are stated: they are those of the room, by its mesh where nothing else says the directions.
-    """
+    """Return shares of area along x, y and z, (n_materials, 3), by default the room's."""
     if stated is None:
         return geometry_files.directions(room)
     array = checks.shaped("facing", stated, room.n_materials, 3)

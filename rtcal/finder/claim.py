@@ -62,10 +62,8 @@ def over_frequency(values: Array) -> str:
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
     """Return the probability of each explanation after the measurement, the most probable first.
 
-    Explanations are effects, "none", "unknown", and "coefficients": an error that all coefficients have
-    in common. ``evidence`` has the ln Bayes factor of each, and ``prior`` its probability before the
-    measurement. Their product is raised to the power `Prior.sharpness`, which is 1 for handbook
-    coefficients and up to 1.4 for measured ones, and scaled so that the probabilities sum to 1.
+    ``evidence`` has the ln Bayes factor of each. Its product with the prior is raised to the power
+    `Prior.sharpness` and scaled so that the probabilities sum to 1.
     """
     log = {k: prior.sharpness * (v + prior.log_probability[k]) for k, v in evidence.items()}
     total = float(logsumexp(list(log.values())))
@@ -75,12 +73,7 @@ def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:
 def by_family(
     probabilities: Mapping[str, float], effects: Mapping[str, Effect]
 ) -> dict[str, float]:
-    """Return the probability of each group of effects, the most probable first.
-
-    ``probabilities`` are those of single effects, by name, and ``effects`` the effects with these
-    names. "none", "coefficients" and "unknown" are groups by themselves. If there are several groups
-    such as "added absorption, rising", their sum has the name "added absorption".
-    """
+    """Return the probability of each group of effects, and of all added absorption together."""
     return with_added(summed((family_of(name, effects), p) for name, p in probabilities.items()))
 
 
@@ -121,10 +114,7 @@ Names = tuple[str, ...]
 
 
 def families_of(names: Names, effects: Mapping[str, Effect]) -> Names:
-    """Return the names of the groups of several effects, sorted.
-
-    All groups of "added absorption" have this one name. ``effects`` are the effects by name.
-    """
+    """Return the names of the groups of several effects, sorted; of absorption the wide one."""
     return tuple(sorted(wide(family_of(name, effects)) for name in names))
 
 
@@ -135,11 +125,7 @@ def numbers_of(sets: Mapping[Names, float]) -> tuple[float, ...]:
 
 
 def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
-    """Return the most specific group of effects with a probability of at least ``least``, or None.
-
-    ``families`` are the probabilities of the groups, by name. "added absorption, rising" is more
-    specific than "added absorption". The group "none" does not count.
-    """
+    """Return the most specific group with a probability of at least ``least``, or None."""
     probable = [f for f, p in families.items() if p >= least and f != NONE]
     return max(probable, key=lambda family: family.count(",")) if probable else None
 
@@ -190,10 +176,7 @@ much. Chosen on development rooms."""
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """Hold the verdict of a search and what is identified, as `conclude` decides it for a `Finding`.
-
-    ``family`` is the group of effects that is identified, ``named`` are the single effects.
-    """
+    """Hold the verdict of a search and what is identified, as `conclude` decides it for a `Finding`."""
 
     verdict: str
     family: str | None = None
@@ -254,12 +237,7 @@ def conclude(
 
 
 def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> Reason | None:
-    """Return the reason why the data are too weak to report something missing, or None.
-
-    There is a reason if "none" still has a probability of 1/3 or more, or if no effect and no group has
-    as much, although the score exceeds its threshold. ``probabilities`` are those of effects and
-    ``families`` those of groups, by name.
-    """
+    """Return the reason why the data are too weak to report something missing (`FAIR`), or None."""
     nothing = probabilities.get(NONE, 0.0)
     if nothing >= FAIR:
         return Reason("nothing likely", {"probability": nothing})
@@ -295,10 +273,7 @@ def of_program(families: Mapping[str, float]) -> Reason | None:
 
 
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
-    """Return the most probable explanations that together have 0.9 of the probability.
-
-    "none" is left out, and the 0.9 is a share of the probability of all other explanations.
-    """
+    """Return the explanations other than "none" that have 0.9 of their probability together."""
     some = {k: p for k, p in probabilities.items() if k != NONE}
     total, held, out = sum(some.values()), 0.0, []
     for name, p in some.items():

@@ -139,12 +139,7 @@ def diagnosis(
     *,
     cache: str | os.PathLike[str] | None = None,
 ) -> Diagnosis:
-    """Return the diagnosis of a finding: its effect is added to the model, which is then calibrated.
-
-    ``verification`` is the check of the finding, None without one. If it withdraws the effect, the
-    model is calibrated without the effect. ``cache`` is the folder for simulations at positions. Raises
-    DataError for a finding of two states, which has no model to correct.
-    """
+    """Return the diagnosis of a checked finding; the effect is added unless the check withdraws it."""
     if finding.kind == "states":
         raise DataError(
             "a diagnosis compares a model with one measurement, not with two configurations"

@@ -300,10 +300,9 @@ class Effect(ABC):
 class AbsorbingObject(Effect):
     """Describe missing objects whose absorption is proportional to their number, such as people.
 
-    The objects can be taken out of the room. A subclass gives in ``each`` the absorption area of one
-    object (a size of 1) in m² at the octaves from 63 Hz to 8 kHz, and in ``of_one`` its mean from 500
-    to 2000 Hz in m². ``steps`` numbers of objects are tried, which absorb from ``least`` to ``most``
-    times as much as the room.
+    A subclass gives in ``each`` the absorption area of one object in m² at the octaves from 63 Hz
+    to 8 kHz, and in ``of_one`` its mean from 500 to 2000 Hz. ``steps`` numbers of objects are
+    tried, which absorb from ``least`` to ``most`` times as much as the room.
     """
 
     removable: ClassVar[bool] = True
@@ -314,7 +313,7 @@ class AbsorbingObject(Effect):
     each: ClassVar[Sequence[float]] = (1.0,) * 8
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the smallest and largest value of each parameter, by name; a size is 0 or more."""
+        """Return the limits of each parameter, by name; a size is 0 or more."""
         return {self.size: (0.0, inf), **super().limits(room)}
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
@@ -329,10 +328,7 @@ class AbsorbingObject(Effect):
         return state.with_objects(parameters[self.size] * each)
 
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area in m² that the objects add, (n_bands,).
-
-        ``without`` and ``with_effect`` are the states of the room without and with them.
-        """
+        """Return the absorption area in m² that the objects add, (n_bands,)."""
         added = with_effect.surface_absorption - without.surface_absorption
         return np.asarray(added + with_effect.objects - without.objects)
 
@@ -410,18 +406,12 @@ class Absorber(AbsorbingObject):
 
 
 def _all_surfaces(room: Room | None) -> float:
-    """Return the area of all surfaces of a room in m².
-
-    If ``room`` is None, the result is the largest area that rtcal allows for any room.
-    """
+    """Return the area of all surfaces of a room in m², or the largest that rtcal allows."""
     return LARGEST if room is None else room.total_area
 
 
 def middle_absorption(state: RoomState) -> float:
-    """Return the absorption area in m² of a room's materials, as a mean from 500 to 2000 Hz.
-
-    If the room has none of these bands, the mean is over all bands.
-    """
+    """Return the absorption area in m² of the materials from 500 to 2000 Hz, or over all bands."""
     area = state.areas @ state.alpha
     return float(area[bands.is_middle(state.frequencies)].mean())
 
@@ -469,10 +459,7 @@ class Porous(Absorber):
 
 
 def _statistical(normal: NDArray[np.complex128], angles: Array) -> Array:
-    """Return alpha in diffuse sound, averaged over frequencies, (n_bands,).
-
-    ``normal`` (n_bands, n_frequencies, n_angles) is the impedance over that of air, times the cosine.
-    """
+    """Return alpha in diffuse sound by impedances times the cosine, (n_bands, n_inside, n_angles)."""
     weight = np.sin(2 * angles)
     absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
     return np.asarray(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
@@ -586,10 +573,7 @@ AT_1_KHZ = PER_PERSON[4]
 
 @dataclass(frozen=True)
 class People(AbsorbingObject):
-    """Describe people who are missing from the model, each with an absorption area (Vorländer 2008).
-
-    For people in rows of seats, which cover an area of the floor, see `Audience`.
-    """
+    """Describe missing people, each with an absorption area (Vorländer 2008), not in rows of seats."""
 
     name: ClassVar[str] = "people"
     family: ClassVar[str] = "added absorption, rising"
@@ -611,10 +595,7 @@ _AREA_AT_1_KHZ = "m² of absorption area at 1 kHz"
 
 @dataclass(frozen=True)
 class Audience(AbsorbingObject):
-    """Describe a missing audience in upholstered seats, by its absorption area (Beranek 1996).
-
-    It covers floor area, with alpha = 0.86 at 1 kHz. For people who stand or sit apart see `People`.
-    """
+    """Describe a missing audience in upholstered seats, by its absorption area (Beranek 1996)."""
 
     name: ClassVar[str] = "audience"
     family: ClassVar[str] = "added absorption, rising"
@@ -647,8 +628,7 @@ class Audience(AbsorbingObject):
 class Furniture(AbsorbingObject):
     """Describe missing hard objects, such as tables, by their absorption area (EN 12354-6).
 
-    EN 12354-6 gives A = V^(2/3) in m² for an object of the volume V in m³. rtcal lets A fall to 0.45 of
-    its value at 1 kHz towards 63 Hz.
+    EN 12354-6 gives A = V^(2/3) in m² of an object of V m³; here it falls to 0.45 towards 63 Hz.
     """
 
     name: ClassVar[str] = "furniture"
@@ -663,10 +643,7 @@ class Furniture(AbsorbingObject):
 
 @dataclass(frozen=True)
 class Opening(Absorber):
-    """Describe a missing opening, through which sound leaves and does not return (Kuttruff).
-
-    Its absorption coefficient is 1 in all bands.
-    """
+    """Describe a missing opening with alpha = 1, through which sound does not return (Kuttruff)."""
 
     name: ClassVar[str] = "opening"
     family: ClassVar[str] = "added absorption, flat"
@@ -687,10 +664,7 @@ _MATERIAL = Parameter(within=(0.0, inf), discrete=True)
 
 
 class WrongStatement(Effect):
-    """Describe a wrong input value of the room, such as an area; base of several effects.
-
-    If the value is that of a material, the parameter ``material`` is the number of the material.
-    """
+    """Describe a wrong input value of the room; ``material``, if it has one, is a material's number."""
 
     family: ClassVar[str] = "scale"
 
@@ -713,10 +687,7 @@ class WrongStatement(Effect):
 
 @dataclass(frozen=True)
 class WrongArea(WrongStatement):
-    """Describe a wrong input area of one material, or a wrong number of pieces such as persons.
-
-    The size of the effect is the true area (or number) over the input.
-    """
+    """Describe a wrong area or number of pieces of a material, by the ratio of true to input value."""
 
     name: ClassVar[str] = "area"
     size: ClassVar[str] = "ratio"
@@ -751,10 +722,7 @@ class WrongArea(WrongStatement):
         return self.OF_NUMBER if pieces else self.unit
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return how probable ratios are before the measurement: ln ratio is normal with sigma = 0.5.
-
-        The result is not normalised.
-        """
+        """Return the density of ratios before the measurement: ln ratio is normal with sigma = 0.5."""
         return np.asarray(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
@@ -823,10 +791,7 @@ class WrongVolume(WrongStatement):
         return np.concatenate([logs, -logs])
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return how probable ratios are before the measurement, as a density of ln ratio.
-
-        The result is not normalised.
-        """
+        """Return the density of ln ratio before the measurement, not normalised."""
         logs = np.log(parameters["ratio"])
 
         def normal(about: Array | float, sigma: float) -> Array:
@@ -904,11 +869,7 @@ class CoveredSurface(WrongStatement):
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the combinations to try: 0.12 to 0.9 of each material that absorbs clearly more.
-
-        A material must have a mean alpha above twice that of the cover; if there is none, the most
-        absorbing one is tried. Pieces such as persons have no surface that can be covered.
-        """
+        """Return 0.12 to 0.9 of each material that absorbs twice as much as the cover."""
         middle = np.where(state.walls, state.alpha.mean(1), 0.0)
         rows = np.flatnonzero(middle > 2 * HARD)
         rows = rows if len(rows) else np.array([int(np.argmax(middle))])
@@ -1002,11 +963,7 @@ class OmittedAir(Effect):
     }
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
-        """Return how probable climates are before the measurement: alike in 15 to 30 °C, 20 to 70 %.
-
-        Outside this range the probability falls like a normal density with sigma = 3 K and 10 %. The
-        result is not normalised.
-        """
+        """Return the density: even in 15 to 30 °C and 20 to 70 %, with normal tails outside."""
         out: Array | float = 1.0
         for name, (low, high, tail) in self.INDOORS.items():
             value = np.asarray(parameters[name])
@@ -1015,11 +972,10 @@ class OmittedAir(Effect):
         return out
 
     def prior_odds(self, room: Room) -> float:
-        """Return how probable a wrong climate is before the measurement, relative to a usual effect.
+        """Return the odds: 3 without an input climate, because every room has air, and 0.3 with one.
 
-        The result is 3 if the room has no climate, because every room has air, and 0.3 if it has one.
-        These odds are for errors larger than the uncertainty of the input climate
-        (`Case.climate_uncertainty`), which is always allowed for.
+        These odds are for errors larger than `Case.climate_uncertainty`, which is always allowed
+        for.
         """
         return 3.0 if room.air is None else 0.3
 
@@ -1057,11 +1013,7 @@ def _climate(
 
 @dataclass(frozen=True)
 class NonDiffuse(Effect):
-    """Describe a non-diffuse field, in which sound decays differently along each axis of the room.
-
-    Its size is the scattering coefficient of the walls (`DirectionalDecay`); with 1 the field is
-    diffuse.
-    """
+    """Describe a non-diffuse field (`DirectionalDecay`), by the scattering coefficient of the walls."""
 
     name: ClassVar[str] = "non-diffuse field"
     family: ClassVar[str] = "field"
@@ -1111,11 +1063,7 @@ class CoupledRoom(Effect):
     )
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the combinations to try of the aperture and the second room's volume and alpha.
-
-        The aperture is 0.05 to 1.2 times the absorption area of the first room, the second room's
-        volume 0.2 to 3 times its volume, and the second room's alpha 0.02 to 0.3.
-        """
+        """Return apertures of 0.05 to 1.2 times the room's absorption, and second rooms behind them."""
         area = middle_absorption(state)
         return [
             {"aperture": float(a * area), "volume": float(v * state.volume), "alpha": float(e)}
@@ -1209,10 +1157,7 @@ def library() -> tuple[Effect, ...]:
 
 
 def checked_effects(effects: object | None) -> tuple[Effect, ...]:
-    """Return effects as a tuple, after a check; if ``effects`` is None, all effects of the library.
-
-    Raises DataError if an effect is incomplete, or if two effects have the same name.
-    """
+    """Return effects as a tuple, by default the library; DataError for an incomplete one."""
     if effects is None:
         return library()
     every: tuple[Any, ...] = checks.listed("effects", effects)
@@ -1267,10 +1212,8 @@ def judged_effects(
 ) -> tuple[tuple[Effect, ...], dict[str, str]]:
     """Return the effects that can be tried in a room, and why the others cannot, by name.
 
-    An effect cannot be tried if it depends on unknown directions of surfaces, or if the geometrical
-    program that simulated the model already includes it. ``directions_known`` says whether it is known
-    in which direction the surfaces face, and ``geometrical`` whether such a program simulated the
-    model. Raises DataError if no effect is left.
+    Not tried are those that need unknown directions of surfaces, or that the geometrical program
+    which simulated the model includes. Raises DataError if no effect is left.
     """
     lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
     lacking |= {e.name: IN_RUN for e in effects if e.in_geometry and geometrical}
@@ -1291,12 +1234,11 @@ def columns(grid: Sequence[Parameters]) -> dict[str, Array]:
 def checked_grid(
     effect: Effect, state: RoomState, room: Room | None = None
 ) -> Sequence[Parameters]:
-    """Return the combinations of parameter values that an effect tries in a room, after a check.
+    """Return the parameter sets that an effect tries in a room, after a check.
 
-    Each combination must have the same parameters with finite values, among them the size. Combinations
-    outside the effect's limits in this room are left out, unless all are outside. ``state`` is the
-    acoustic state of the room without the effect. If ``room`` is None, the limits are those in any
-    room. Raises DataError if the effect breaks a rule.
+    Sets outside the limits in this ``room`` (None: in any room) are left out, unless all are.
+    Raises DataError for an empty grid, and for a set without the size or with other names or values
+    than finite ones.
     """
     where = f'effect "{effect.name}": grid'
     grid = checks.listed(where, _run(where, lambda: effect.grid(state)))
@@ -1328,11 +1270,10 @@ def checked_grid(
 def beyond(
     effect: Effect, grid: Sequence[Parameters], likeliest: Parameters, room: Room
 ) -> list[Parameters]:
-    """Return the combinations of parameter values, with further sizes if the last size fits best.
+    """Return the parameter sets with up to four further sizes, if the last size fits best.
 
-    ``grid`` are the combinations tried so far, and ``likeliest`` is the one that fits best. If its size
-    is the largest or the smallest in ``grid``, up to four further sizes in the same steps are added,
-    within the limits of the ``room``. On the side where the effect vanishes none is added.
+    They go on in the same steps within the limits of the ``room``, but not where the effect
+    vanishes.
     """
     every, value = list(grid), likeliest[effect.size]
     sizes = np.unique([theta[effect.size] for theta in grid])
@@ -1361,11 +1302,7 @@ def check_parameters(
     room: Room | None = None,
     interval: tuple[float, float] | None = None,
 ) -> None:
-    """Raise DataError if parameters of an effect are missing or outside its limits.
-
-    ``interval`` has both ends of the 90 % interval of the size, which must be within the limits, too;
-    None if there is no interval. If ``room`` is None, the limits are those in any room.
-    """
+    """Raise DataError if a parameter, or an end of the size's interval, is outside its limits."""
     where, limits = f'effect "{effect.name}"', _limits(effect, room)
     for name, (least, most) in limits.items():
         if name not in parameters:
@@ -1392,11 +1329,7 @@ def _limits(effect: Effect, room: Room | None) -> Limits:
 
 
 def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-    """Return the states of a room with an effect, one per combination of values, after a check.
-
-    ``state`` is the room without the effect, and ``grid`` has the combinations of parameter values.
-    Raises DataError if a state is physically impossible, such as one with a negative volume.
-    """
+    """Return the states of a room with an effect, by parameter set; DataError for an impossible one."""
     where, state = f'effect "{effect.name}": change', state.locked()
     made = added(effect, state, grid)
     for after in made:

@@ -44,10 +44,8 @@ def with_columns(
 ) -> tuple[Array, Array]:
     """Return r' (C + U U')⁻¹ r and ln sqrt|C + U U'| from products with C⁻¹ (Woodbury's identity).
 
-    C is a covariance of m values, r are m vectors of residuals, and U (m, n_columns) are further
-    errors. ``square`` (..., m) is r' C⁻¹ r, and ``half`` (..., 1) is ln sqrt|C|. ``across`` (...,
-    n_columns, m) is U' C⁻¹ r, and ``inner`` (..., n_columns, n_columns) is U' C⁻¹ U. The results have
-    the shapes of ``square`` and ``half``.
+    Of m vectors r: ``square`` (..., m) is r' C⁻¹ r and ``half`` (..., 1) ln sqrt|C|; ``across``
+    (..., n_columns, m) is U' C⁻¹ r and ``inner`` (..., n_columns, n_columns) U' C⁻¹ U.
     """
     factor = np.asarray(np.linalg.cholesky(inner + np.eye(inner.shape[-1])), dtype=float)
     whitened = np.array(across.swapaxes(-2, -1), order="C")
@@ -78,10 +76,9 @@ development rooms of both worlds."""
 
 
 def student(square: Array, half: Array | float, n: int, *, coarsened: bool = True) -> Array:
-    """Return the log density of ``n`` values by Student's t distribution with a covariance C.
+    """Return the log density of ``n`` values by Student's t, from r' C⁻¹ r and ln sqrt|C|.
 
-    ``square`` is r' C⁻¹ r of the residuals r, and ``half`` is ln sqrt|C|. If ``coarsened`` is True, the
-    density is raised to the power `COARSENING` / (`COARSENING` + n), because no model is exact.
+    If ``coarsened``, it has the power `COARSENING` / (`COARSENING` + n), because no model is exact.
     """
     power = COARSENING / (COARSENING + n) if coarsened and np.isfinite(COARSENING) else 1.0
     if np.isinf(DEGREES):
@@ -93,10 +90,9 @@ def student(square: Array, half: Array | float, n: int, *, coarsened: bool = Tru
 
 
 def bounded(square: Array, half: Array | float, n: int) -> Array:
-    """Return the log density of ``n`` values, up to a constant, that falls slowly for large residuals.
+    """Return a log density of ``n`` values from r' C⁻¹ r and ln sqrt|C|, up to a constant.
 
-    ``square`` is r' C⁻¹ r of the residuals r with the covariance C, and ``half`` is ln sqrt|C|. The
-    density is normal if ``square`` is at most n. Above n, C is scaled by ``square`` / n, because few
+    It is normal if ``square`` is at most n. Above n, C is scaled by ``square`` / n, because few
     reference simulations do not determine well how large the errors are.
     """
     beyond = n / 2 * (1 + np.log(np.maximum(square / n, 1.0)))
@@ -104,10 +100,7 @@ def bounded(square: Array, half: Array | float, n: int) -> Array:
 
 
 def log_mixture(one: Array, other: Array, share: float) -> Array:
-    """Return the log density of a mixture: (1 - share) times one density plus share times the other.
-
-    ``one`` and ``other`` are the log densities of the same data, in arrays of the same shape.
-    """
+    """Return the log density of a mixture: (1 - share) times one density plus share times the other."""
     with np.errstate(divide="ignore"):
         return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
 
@@ -115,12 +108,11 @@ def log_mixture(one: Array, other: Array, share: float) -> Array:
 def leading_products(
     covariance: Array, rows: Array, first: int, ends: Sequence[int]
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
-    """Yield ln sqrt|C| and products x C⁻¹ y' of rows x and y, for the leading parts of n matrices C.
+    """Yield ln sqrt|C| and products x C⁻¹ y' of rows, for the leading parts of n matrices C.
 
-    ``covariance`` (n, m, m) are the matrices, ``rows`` (n, d, m) the rows, and ``ends`` the rising
-    sizes of the leading parts. The products are, in this order: each of the ``first`` rows with itself,
-    (n, first); the other rows with these; and the other rows with one another. ``covariance`` and
-    ``rows`` are overwritten. Raises LinAlgError if a matrix is not positive definite.
+    Of ``covariance`` (n, m, m) and ``rows`` (n, d, m), both overwritten, and of leading sizes
+    ``ends``: each of the ``first`` rows with itself, (n, first); the others with these; the others
+    with one another. Raises LinAlgError if a matrix is not positive definite.
     """
     # LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
     for i, matrix in enumerate(covariance):
@@ -163,11 +155,10 @@ classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 @dataclass(frozen=True)
 class Prior:
-    """Hold the probabilities of all explanations before the measurement, as logarithms.
+    """Hold the log probabilities of all explanations before the measurement.
 
-    ``log_probability`` has "none", "coefficients", "unknown" and each effect, by name; the
-    probabilities sum to 1. ``off`` is the probability that all input coefficients have an error in
-    common. ``sharpness`` is the power to which probabilities after the measurement are raised.
+    ``off`` is the probability that all coefficients have an error in common, and ``sharpness`` the
+    power to which probabilities after the measurement are raised.
     """
 
     log_probability: Mapping[str, float]
@@ -176,19 +167,15 @@ class Prior:
 
 
 def relative_sigma(room: Room) -> float:
-    """Return the relative uncertainty of a room's coefficients over that of handbook values, at most 1.
-
-    It is the area-weighted sum of sigma over that of alpha, divided by `HANDBOOK_SIGMA`.
-    """
+    """Return a room's relative sigma, weighted by area, over that of a handbook, at most 1."""
     stated = float((room.areas @ room.sigma).sum() / max((room.areas @ room.alpha).sum(), 1e-12))
     return min(1.0, stated / HANDBOOK_SIGMA)
 
 
 def probability_off(room: Room) -> float:
-    """Return the prior probability that all input coefficients of a room have an error in common.
+    """Return the prior probability of an error that all input coefficients of a room have in common.
 
-    It is `OFF_TOGETHER` times the square of `relative_sigma`: coefficients with a small sigma were
-    measured, so that a large common error is improbable.
+    It falls with the square of `relative_sigma`: measured coefficients have hardly any such error.
     """
     return OFF_TOGETHER * relative_sigma(room) ** 2
 
@@ -199,13 +186,7 @@ def sharpness(room: Room) -> float:
 
 
 def log_priors(odds: ArrayLike, off: float, no_effect: float = NO_EFFECT) -> Array:
-    """Return the log prior probabilities (2 + n,) of no effect and of each of n effects.
-
-    The first is that of no effect with the input coefficients as they are. The second is that of no
-    effect with an error that all coefficients have in common, whose probability is ``off``. ``odds``
-    (n,) are proportional to the probabilities of the effects, and ``no_effect`` is the probability that
-    nothing is missing. The probabilities sum to 1.
-    """
+    """Return log priors (2 + n,) of nothing, of an error in common, and of n effects by odds."""
     of_effects = (1 - no_effect) * np.asarray(odds) / np.sum(odds)
     with np.errstate(divide="ignore"):
         return np.asarray(np.log([no_effect * (1 - off), no_effect * off, *of_effects]))
@@ -235,10 +216,10 @@ def left_out_of(
     possible: Sequence[str],
     in_any_case: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Return the names that are not tried, sorted, from the options ``only`` and ``without``.
+    """Return the names that are not tried, sorted, by the options ``only`` and ``without``.
 
-    ``possible`` are all names. Names in ``without`` are not tried. If ``only`` has names, no others are
-    tried, except those ``in_any_case``. Raises DataError for an unknown name, and if no name is left.
+    ``only`` keeps those ``in_any_case``. Raises DataError for an unknown name, and if no name is
+    left.
     """
     named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
@@ -259,12 +240,10 @@ NONE_LEFT = "no effect is left to search for; name other effects in only, or few
 
 
 def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -> Array:
-    """Return the prior probabilities of n sets of an effect's parameters, (n,), whose sum is 1.
+    """Return prior probabilities of n parameter sets, (n,): the density times the width of the cell.
 
-    The probability of a set is the effect's density times the width of the set's cell in the ``grid``.
-    The cell reaches half of the way to the neighbours on both sides, on a logarithmic scale for a
-    parameter above 0. A finer grid therefore gives the effect the same probability. ``state`` is the
-    acoustic state of the room without the effect.
+    A cell reaches half of the way to its neighbours, on a log scale for values above 0, so that a
+    finer grid gives the effect the same probability.
     """
     values = columns(grid)
     weights = np.ones(len(grid)) * effect.density(values, state)
@@ -297,14 +276,11 @@ SCALES = ((2.0, 0.6), (4.0, 0.4))
 
 @lru_cache(maxsize=4)
 def directions(case: Case, power: float = POWER) -> Array:
-    """Return the changes of alpha by each error that the coefficients of a case have in common.
+    """Return changes of alpha by errors that coefficients have in common, one standard deviation each.
 
-    A change is one standard deviation. The shape is (n_configurations, n_directions, n_materials,
-    n_bands). The first two directions are a factor and a tilt over frequency of all materials together.
-    Then follow each material's own factor, and each material's own tilt, which are 0 in a configuration
-    that changed the material. If the relative sigma of the coefficients is below a handbook's, the
-    changes decrease with this ratio to the ``power``. Factors contain errors of volume, areas and
-    tables.
+    (n_configurations, n_directions, n_materials, n_bands): a factor and a tilt over frequency of
+    all materials, then each material's own factor and tilt, 0 in a configuration that changed it.
+    Below a handbook's sigma they fall with the ``power`` of the ratio.
     """
     return read_only_view(np.array([_directions(case.room, c, power) for c in case.configurations]))
 
@@ -324,11 +300,9 @@ def _directions(room: Room, c: Configuration | None = None, power: float = POWER
 
 
 def by_direction(changes: Array, slopes: Array) -> Array:
-    """Return the decrease of ln T20 by each common error of alpha, (n, n_values, n_directions).
+    """Return the decrease of ln T20 by each common error of `directions`, (n, n_values, n_directions).
 
-    ``changes`` of alpha are those that `directions` returns. ``slopes`` (n, n_configurations,
-    n_materials, n_bands) are -d ln T20 / d alpha in n states of the room. The n_values are all bands of
-    the first configuration, then those of the next.
+    ``slopes`` (n, n_configurations, n_materials, n_bands) are -d ln T20 / d alpha in n states.
     """
     n, count, materials, n_bands = slopes.shape
     of_own = changes[:, 2:].reshape(count, 2, materials, materials, n_bands)
@@ -403,10 +377,8 @@ def off_together(
 ) -> OffTogether:
     """Return the error that all coefficients of a case have in common, estimated from the measurement.
 
-    ``changes`` (n_used, n_directions) are the changes of the measured features (ln T20, C80 and others)
-    by each common error, one standard deviation each. ``residual`` (n_used,) is measured minus
-    predicted with the input coefficients, and ``covariance`` (n_used, n_used) that of the residual. The
-    ``probability`` of the error is part of the result.
+    ``changes`` (n_used, n_directions) are those of the compared values by each common error, and
+    ``residual`` (n_used,) is measured minus predicted, with its ``covariance``.
     """
     f = changes
     weights, means, variances = [], [], []

@@ -623,21 +623,13 @@ _RECORDED = {
 
 
 def feature_names(measured: Measurement) -> tuple[str, ...]:
-    """Return the five names under which means over positions are compared, as they are printed.
-
-    They are T20, EDT/T20, T30/T20, C80 and G, with T30 in place of T20 if only T30 was measured.
-    """
+    """Return the printed names of the five features that means are compared by."""
     time = measured.time_label
     return time, f"EDT/{time}", "T30/T20", "C80", "G"
 
 
 def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
-    """Return the other explanations of the data, beside the most probable one.
-
-    For means, these are the candidates outside the most probable combination. Otherwise they are the
-    candidates, with a probability of at least 0.03, of the set that has 0.9 of the probability.
-    ``best`` is the candidate that is left out; None leaves out the most probable combination only.
-    """
+    """Return the other explanations of the data, beside the most probable one or ``best``."""
     if f.kind == "means":
         if best is not None and best.effect not in f.names[: max(1, len(f.members))]:
             return tuple(c for c in f.candidates if c is not best)

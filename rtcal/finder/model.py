@@ -32,10 +32,9 @@ STEEPEST = 0.98
 
 @dataclass(frozen=True)
 class Decay:
-    """Hold the energy density after a pulse of unit energy, as a sum of exponential decays.
+    """Hold the energy density after a pulse: the sum of ``weights`` (1/m³) exp(-``rates`` (1/s) t).
 
-    It is the sum of ``weights`` exp(-``rates`` t), with ``weights`` in 1/m³ and ``rates`` in 1/s, both
-    (n_bands, n_terms), or (n, n_bands, n_terms) for n rooms.
+    Both are (n_bands, n_terms), or (n, n_bands, n_terms) for n rooms.
     """
 
     weights: Array
@@ -48,11 +47,7 @@ taken from drawings, and its error is that of what they leave out."""
 
 
 def volume_sigma_of(room: Room) -> float:
-    """Return the relative standard deviation of a room's volume.
-
-    It is the room's ``volume_sigma`` if this is given, else 0.05 for the volume of a mesh and 0.1 for a
-    volume that was typed.
-    """
+    """Return the relative standard deviation of a room's volume, by default by its origin."""
     if room.volume_sigma > 0:
         return room.volume_sigma
     return VOLUME_TYPED if room.scene.mesh is None else VOLUME_OF_MESH
@@ -197,11 +192,7 @@ class RoomState:
 
 
 def covered(states: Sequence[RoomState], areas: Array, spectra: Array) -> list[RoomState]:
-    """Return n states of a room, in each of which an area of wall is replaced by a cover.
-
-    ``areas`` (n,) in m² and ``spectra`` (n, n_bands), the alpha of the covers, have one entry per
-    state. The wall behind a cover has the mean absorption of all surfaces.
-    """
+    """Return states in which walls (n,) in m² have covers of alpha ``spectra`` (n, n_bands)."""
     out = list(states)
     for equation, where in _by_equation(states):
         patches = equation.contribution(np.minimum(spectra[where], equation.largest_alpha))
@@ -239,11 +230,7 @@ def highest(equation: MeanEquation) -> float:
 
 
 def mean_contributions(equation: MeanEquation, states: Sequence[RoomState]) -> Array:
-    """Return the mean absorption of all surfaces, as an equation uses it, for n states, (n, n_bands).
-
-    It is the mean absorption coefficient for Eyring's equation, and that of -ln(1 - alpha) for
-    Millington's. It is limited to the range in which the equation gives a finite T above 0.
-    """
+    """Return the mean of h(alpha) over the surfaces, within the equation's range, (n, n_bands)."""
     areas, alpha = _stacked(states)
     each = equation.contribution(np.minimum(alpha, equation.largest_alpha))
     if (walls := states[0].walls) is not True:
@@ -254,10 +241,7 @@ def mean_contributions(equation: MeanEquation, states: Sequence[RoomState]) -> A
 
 
 def surface_absorption(states: Sequence[RoomState]) -> Array:
-    """Return the absorption area S a of the surfaces in m², for n states of one room, (n, n_bands).
-
-    a is the absorption exponent of the equation, for Eyring's -ln(1 - mean alpha).
-    """
+    """Return the absorption area of the surfaces in m², for n states of one room, (n, n_bands)."""
     out = np.empty((len(states), len(states[0].air)))
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
@@ -272,10 +256,7 @@ def speeds(states: Sequence[RoomState]) -> Array:
 
 
 def rates(states: Sequence[RoomState]) -> Array:
-    """Return the decay rates k of the energy in 1/s, for n states of one room, (n, n_bands).
-
-    k is calculated as in `RoomState.rate`.
-    """
+    """Return the decay rates k of n states in 1/s, (n, n_bands); see `RoomState.rate`."""
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
     absorbed += _attribute(states, "objects")
@@ -283,10 +264,7 @@ def rates(states: Sequence[RoomState]) -> Array:
 
 
 def sensitivities(states: Sequence[RoomState]) -> Array:
-    """Return the derivatives of the decay rates k by alpha in 1/s, (n, n_materials, n_bands).
-
-    ``states`` are n states of one room.
-    """
+    """Return the derivatives of the decay rates by alpha in 1/s, (n, n_materials, n_bands)."""
     out = np.empty((len(states), *states[0].alpha.shape))
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
@@ -304,23 +282,15 @@ def sensitivities(states: Sequence[RoomState]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Hold T20, EDT, T30, C80 and G as a model predicts them, and their derivatives by ln T20.
+    """Hold T20, EDT, T30, C80 and G of n states, and their derivatives by ln T20."""
 
-    ``features`` (n, 5, n_bands), for n states of a room, are ln T20, ln EDT/T20, ln T30/T20, and C80
-    and G in dB. ``slopes`` are their derivatives, in the same shape, and ``reverberation_time`` (n,
-    n_bands) is T20 in s.
-    """
-
-    features: Array
-    slopes: Array
-    reverberation_time: Array = field(repr=False)
+    features: Array  # (n, 5, n_bands), of `FEATURES`
+    slopes: Array  # its derivatives by ln T20
+    reverberation_time: Array = field(repr=False)  # T20 in s, (n, n_bands)
 
 
 def predict(states: Sequence[RoomState], distance: Array) -> Predicted:
-    """Return T20, EDT, T30, C80 and G that a model predicts for n states of one room.
-
-    ``distance`` (n_pairs,) are the source-receiver distances in m, over which C80 and G are averaged.
-    """
+    """Return what a model predicts for n states of one room, at distances (n_pairs,) in m."""
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
     shifted = np.empty_like(features)
@@ -442,10 +412,7 @@ class DirectionalDecay:
 
     @staticmethod
     def together(states: Sequence[RoomState], shapes: Sequence[DirectionalDecay]) -> Decay:
-        """Return the decays of n states of a room, with one exponential term per direction and band.
-
-        ``shapes`` has the scattering coefficient of each state.
-        """
+        """Return the decays of n states, with one exponential term per direction and band."""
         u, weight = _directions()
         c = speeds(states)[:, None]
         volume = np.array([[s.volume] for s in states])

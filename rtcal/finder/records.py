@@ -64,11 +64,8 @@ def stored() -> Mapping[str, Any]:
 def record_of(*kind: str) -> dict[str, Share]:
     """Return how often findings from one kind of data were right, in rooms with known answers.
 
-    ``kind`` are the keys of the kind of data in the table `FILE`. "detected" is the share of rooms with
-    something missing in which it was detected, and "flagged" the share of rooms with nothing missing in
-    which something was detected. All other entries are shares of right answers, by the verdict or
-    "surface". The verdict "ambiguous" is right if the true effect is among the candidates; "surface" is
-    the most probable surface of a detected absorber.
+    "ambiguous" is right if the true effect is among the candidates; "surface" is the most probable
+    surface of a detected absorber.
     """
     table = stored()
     for key in kind:
@@ -91,8 +88,5 @@ def data_of(case: Case) -> str:
 
 
 def statement_of(room: Room) -> str:
-    """Return "from a handbook" or "measured in situ", as a room's input sigma suggests.
-
-    It is "from a handbook" if `rtcal.finder.evidence.relative_sigma` is above 0.95.
-    """
+    """Return "from a handbook" or "measured in situ", as a room's input sigma suggests."""
     return HANDBOOK if relative_sigma(room) > 0.95 else IN_SITU

@@ -101,21 +101,14 @@ _INTERVAL = (0.05, 0.95)
 
 @dataclass(frozen=True, eq=False)
 class Hypotheses:
-    """Hold the possible changes between two states of a room: none, or absorption added or removed.
-
-    ``names`` and ``families`` are those of the n changes, such as "added porous", and of their groups.
-    ``log_weight`` (n,) are log prior probabilities. ``size`` (n, n_bands) is the change of the
-    absorption area in m², before saturation (`Baseline.after`); above 0 where T is shorter in the
-    second state. ``covariance`` (n, n_bands, n_bands) is that of the error of ln |size|. ``of_air``
-    (n,) is True if the climate differs, too.
-    """
+    """Hold the possible changes between two states of a room: none, or absorption added or removed."""
 
     names: tuple[str, ...]
     families: tuple[str, ...]
-    log_weight: Array
-    size: Array
-    covariance: Array
-    of_air: NDArray[np.bool_]
+    log_weight: Array  # prior, (n,)
+    size: Array  # change of the absorption area in m² before saturation, (n, n_bands)
+    covariance: Array  # of ln |size|, (n, n_bands, n_bands)
+    of_air: NDArray[np.bool_]  # whether the climate differs, too
 
     @classmethod
     def of(
@@ -127,12 +120,9 @@ class Hypotheses:
         without: Collection[str],
         more: str,
     ) -> Hypotheses:
-        """Return the possible changes of a room, each as added and as removed absorption.
+        """Return the changes by ``effects`` but those ``without``, in the bands ``where`` T is known.
 
-        ``before`` is the absorption area in m² of the first state, in the bands in which ``where``
-        (n_bands,) is True: those with T in both states. ``effects`` are those whose spectra are tried,
-        and ``without`` the names of changes that are left out. ``more`` is the word for a size above 0,
-        "added" or "removed".
+        ``more`` is the word for a size above 0, "added" or "removed".
         """
         area = float(before[bands.is_middle(room.centre_frequencies[where])].mean())
         levels, n = area * np.geomspace(LEAST, MOST, SIZES), int(where.sum())
@@ -187,10 +177,7 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
 def _shapes(
     room: Room, where: NDArray[np.bool_], effects: Sequence[Effect], without: Collection[str]
 ) -> Iterator[tuple[str, str, float, Array, Array]]:
-    """Yield name, kind, prior odds of a spectrum, spectra and their error; of "unknown" at last.
-
-    A spectrum (n_bands,) is above 0, and its mean is 1. Its error is the covariance of its logarithm.
-    """
+    """Yield name, kind, odds, spectra of mean 1, and the covariance of their logarithm."""
     frequencies = room.centre_frequencies
     base = RoomState.of_room(room, np.zeros(len(room.areas)))
     for effect in adding(effects):
@@ -230,11 +217,9 @@ KINDS = {
 def _climate_covariance(
     room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
 ) -> Array:
-    """Return the covariance in m⁴ of the difference of the air's absorption 4 m V between two climates.
+    """Return the covariance in m⁴ of the difference of 4 m V between two climates, (n_bands, n_bands).
 
-    The shape is (n_bands, n_bands). Both climates are normally distributed about the room's climate,
-    with the ``uncertainty`` in K and in % of relative humidity. If the room has none, each is any
-    indoor one.
+    Both are normal about the room's climate; if the room has none, each is any indoor one.
     """
     if room.air is None:
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
@@ -265,27 +250,17 @@ _NODES = 4
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Hold the absorption of a room before a change, in the bands in which both states were measured.
-
-    ``area`` (n_bands,) is the absorption area of the surfaces in m², which the ``equation`` gives for T
-    before the change. ``total_area`` is the area of all surfaces in m². ``air`` (n_bands,) is the
-    absorption 4 m V of the air in m². ``climate`` (n_bands, n_bands) is the covariance of ln T by the
-    climate.
-    """
+    """Hold the absorption of a room before a change, in the bands that both states have."""
 
     equation: LinearEquation
     total_area: float
-    area: Array
-    air: Array
-    climate: Array
+    area: Array  # absorption area of the surfaces in m², (n_bands,)
+    air: Array  # 4 m V in m²
+    climate: Array  # covariance of ln T by the climate, (n_bands, n_bands)
 
     @classmethod
     def of(cls, case: StatesCase, times: Array) -> Baseline:
-        """Return the absorption of a case's room before a change.
-
-        ``times`` (2, n_bands) are T in s before and after the change. Raises InfeasibleError if no
-        coefficients give T before the change.
-        """
+        """Return the absorption before a change; InfeasibleError if no coefficients give T before."""
         room, where = case.room, case.known
         area = case.equation.absorption_area(room, np.where(where, times[0], np.nan))[where]
         air = 4 * room.air_attenuation[where] * room.volume
@@ -297,21 +272,15 @@ class Baseline:
     def after(self, size: Array) -> Array:
         """Return the absorption area of the surfaces in m² after a change, (..., n_bands).
 
-        ``size`` (..., n_bands) in m² is above 0 for added and below 0 for removed absorption. With the
-        absorption area b before the change and the area S of all surfaces, added absorption covers
-        surfaces: b + (S - b) (1 - exp(-size / (S - b))). Removed absorption leaves b exp(size / b). A
-        small change is therefore equal to its size.
+        Added absorption covers surfaces: b + (S - b) (1 - exp(-size / (S - b))). Removed absorption
+        leaves b exp(size / b). A small change is therefore equal to its size.
         """
         left = self._left(size)
         covered = -np.expm1(-np.minimum(np.abs(size) / left, _MOST_COVERED))
         return np.asarray(self.area + np.sign(size) * left * covered)
 
     def shift(self, size: Array) -> tuple[Array, Array]:
-        """Return the change of ln T by a change of absorption, and its derivative by ln |size|.
-
-        Both are (..., n_bands). ``size`` (..., n_bands) is the absorption area in m² that is added or,
-        if below 0, removed (see `after`).
-        """
+        """Return the change of ln T by a change of absorption, and its derivative by ln |size|."""
         mean = self.after(size) / self.total_area
         whole, before = self.whole(mean * self.total_area), self.whole(self.area)
         by_area = size * np.exp(-np.abs(size) / self._left(size)) * self.equation.slope(mean)
@@ -359,26 +328,16 @@ _MOST_AT_ONCE = 20_000
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Hold how well each change fits the data with each scale of the noise, and its best size.
+    """Hold how well each change fits the data with each scale of the noise, and its best size."""
 
-    ``log`` (n, n_scales) is the log of the density of the data times the prior probability of change
-    and scale. ``mean`` (n, n_scales, n_bands) and ``covariance`` are those of ln(best size / size in
-    the hypothesis). ``shift`` (n, n_scales, n_bands) is the mean change of ln T by size and climate.
-    """
-
-    log: Array
-    mean: Array
+    log: Array  # density of the data times prior, (n, n_scales)
+    mean: Array  # of ln(best size / size), (n, n_scales, n_bands)
     covariance: Array
-    shift: Array
+    shift: Array  # mean change of ln T by size and climate, (n, n_scales, n_bands)
 
 
 def _chance_of_climate(change: Array, variance: Array, baseline: Baseline, degrees: float) -> float:
-    """Return the p-value of the mean change of ln T over the pairs if only the climate differs.
-
-    ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), and ``degrees`` is the number of
-    degrees of freedom of their noise. The test is chi-square with one degree of freedom per band. Its
-    covariance consists of the climate, a repeated measurement, and the noise of the pairs.
-    """
+    """Return the p-value, by chi-square, of the mean change of ln T if only the climate differs."""
     n = change.shape[1]
     prior, best, inverse = baseline.climate + REMEASURED**2 * np.eye(n), -np.inf, variance
     for scale, probability in SCALES.items():
@@ -399,12 +358,7 @@ def _chance_of_climate(change: Array, variance: Array, baseline: Baseline, degre
 def fits(
     change: Array, variance: Array, baseline: Baseline, of: Hypotheses, degrees: float
 ) -> Fits:
-    """Return the log evidence of each possible change, and the size of the change that fits best.
-
-    ``change`` of ln T and its ``variance`` are (n_pairs, n_bands), NaN where nothing was measured.
-    ``of`` are the possible changes, and ``baseline`` is the absorption before. ``degrees`` is the
-    number of degrees of freedom of the noise.
-    """
+    """Return the log evidence of each change, and its best size, from ln T (n_pairs, n_bands)."""
     n, k = of.size.shape
     shape = n, len(SCALES)
     found = Fits(
@@ -479,9 +433,8 @@ def _integrated(
 ) -> tuple[Array, Array, Array, Array]:
     """Return log evidence, mode and precision of the shift of all pairs, and the pairs' weights.
 
-    Of a ``change`` (n_pairs, n_bands), each pair's variance alone ``spread`` (n or 1, n_pairs,
-    n_bands), mean ``centre`` (n, n_bands) and covariance ``prior`` (n, n_bands, n_bands) of the shift
-    before the measurement, and the pairs' weights (n, n_pairs) from which to begin.
+    Of each pair's own variance ``spread`` (n or 1, n_pairs, n_bands), and mean ``centre`` (n,
+    n_bands) and covariance ``prior`` of the shift before the measurement.
     """
     known = np.isfinite(change)
     count = known.sum(axis=1)
@@ -680,12 +633,9 @@ def _located(
 ) -> tuple[
     Mapping[str, float], Mapping[tuple[str, ...], float], Mapping[str, float], Reason | None
 ]:
-    """Return the probabilities of surfaces and of sets of them, gains, and why no surface is told.
+    """Return probabilities of surfaces and of sets of them, gains, and why no surface is identified.
 
-    A gain is of a source whose level is left out: by how many dB it shifts beside what T says. Where no
-    absorption is claimed, the gains alone are found. From ``change`` and ``variance`` (n_pairs,
-    n_known_bands) of ln T follows the precision of each pair's noise over the expected one; ``climate``
-    is whether another one is tried.
+    A gain is of a source whose level is left out. Without absorption only gains are found.
     """
     tracer = case.simulator
     if tracer is None:
@@ -786,9 +736,7 @@ def _gains(
 ) -> dict[str, float]:
     """Return by how many dB a source's level shifts beside what T says, if by `MOST_GAIN` or more.
 
-    By T every path but the direct one loses in proportion to its length. The mean is over a source's
-    pairs and bands. ``energy`` (n_pairs, n_bands, n_bins) are decays of the state before, the direct
-    sound in the first bin; ``times`` T in s before and after, ``change`` that of the level in dB.
+    By T every path but the direct one, in the first bin, loses in proportion to its length.
     """
     ends = np.array([(simulator.sources[s], simulator.receivers[r]) for s, r in pairs], dtype=float)
     arrival = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / simulator.room.speed_of_sound
@@ -835,10 +783,9 @@ def _observed(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Ar
 
 
 def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array:
-    """Return the covariance of the parameters of one noise-like response.
+    """Return the covariance of the parameters of noise-like responses, (n_pairs, n_bands, n, n).
 
-    (n_pairs, n_bands, n_parameters, n_parameters). A bin of width w has the relative variance
-    1 / (B w) in a band of bandwidth B; the direct sound in the first bin has none.
+    A bin of width w has the relative variance 1 / (B w) in a band of bandwidth B.
     """
     width = simulator.bin_width
     by_bin = gradients(energy, width, match) * energy[None]
@@ -859,9 +806,8 @@ def _evidence(
 ) -> float:
     """Return the log evidence of a set of surfaces, over random walks of ln share through the bands.
 
-    Of a ``change`` (n_parameters, n_pairs, n_bands), ``shifts`` (n_nodes, same) at the shares `NODES`,
-    the pairs' ``noise`` (n_pairs, n_bands, n_parameters, n_parameters), and what pairs err by in
-    ``common`` (n_pairs, n_bands, n_parameters, n_errors), with its variance where nothing changes.
+    Of a ``change`` (n_parameters, n_pairs, n_bands), ``shifts`` (n_nodes, same), ``noise``
+    (n_pairs, n_bands, n_parameters, n_parameters), and errors in ``common`` with their variance.
     """
     predicted = np.einsum("jn,nprk->jrkp", interpolation(NODES, SHARES), shifts)
     mean = predicted.mean(axis=1)  # over the pairs: (n_shares, n_bands, n_parameters)

@@ -132,10 +132,7 @@ class Miss:
 def _missed(
     quantity: str, place: str, unit: str, columns: Sequence[Array], jnd: Array, error: Array
 ) -> Iterator[Miss]:
-    """Yield the bands whose gap in JND exceeds 1 JND and its standard ``error``, which is in JND, too.
-
-    ``columns`` are centre frequencies, model, measured and uncertainty, (n_bands,) each.
-    """
+    """Yield the bands whose gap exceeds 1 JND and its ``error``, from the columns of `Miss`."""
     far = np.isfinite(jnd) & (np.abs(jnd) > np.maximum(1.0, np.nan_to_num(error)))
     rows = zip(*(of[far].tolist() for of in (*columns, jnd)), strict=True)
     for frequency, model, measured, u, by in rows:
@@ -431,12 +428,7 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
 
 
 class _Part(NamedTuple):
-    """A part of the data that the effect is not fitted to.
-
-    ``hidden`` and ``counted`` (n_configurations, n_features, n_bands) are what the effect is not fitted
-    to, and what of it counts. ``configurations`` are the numbers of those that no model is calibrated
-    to.
-    """
+    """A part of the data that the effect is not fitted to: what is hidden, and what of it counts."""
 
     words: str
     hidden: NDArray[np.bool_]
@@ -603,10 +595,7 @@ def _refuse_alone(simulated: Measurement | None, calibrated: Measurement | None)
 
 
 def _moved(corrected: Recalibrated, run: Array) -> Array:
-    """Return a second run's features, moved to the measured T.
-
-    Where the corrected model has the run's T, the run differs from it by an offset, which stays.
-    """
+    """Return a second run's features, moved to the measured T with their offset from the model."""
     data = LogTimes.of(corrected.case, [0], exact=True)
     offset = run - replace(data, measured=run[:1, _T20]).calibrated().features
     return data.calibrated().features + offset
@@ -615,20 +604,10 @@ def _moved(corrected: Recalibrated, run: Array) -> Array:
 def _noise_of_gain(
     case: Case, gaps: Array, held: NDArray[np.bool_], runs: Sequence[Measurement]
 ) -> float:
-    """Return the standard error of the change of the gap between two runs, in JND.
+    """Return the standard error in JND of the change of the gap between two runs.
 
     The program simulated the correction, so that no model's error of a change counts: that of the
-    measurement is common to both gaps, and each run has its own noise.
-
-    Parameters
-    ----------
-    case : Case
-    gaps : array (2, n_features, n_bands)
-        Of the first configuration in JND, without and with the correction.
-    held : bool array (n_features, n_bands)
-        Which of them count.
-    runs : sequence of Measurement
-        Those with these gaps.
+    measurement is common to both ``gaps`` (2, n_features, n_bands), each run has its own noise.
     """
     f, b = np.nonzero(held)
     jnd = np.array([observable(name).jnd for name in FEATURES])[f]
@@ -801,12 +780,10 @@ def at_pairs(
     held: NDArray[np.bool_] | None = None,
     **said: Any,
 ) -> Verification:
-    """Return the verification of a finding by deviations at held-out source-receiver pairs.
+    """Return a verification by deviations (n_models, n_seeds, n_parameters, n_pairs, n_bands) in JND.
 
-    ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
-    JND, and ``said`` the remaining fields of the `Verification`. ``held`` (n_parameters,) is which
-    parameters were held out; None for all. The effect is supported if it reduces the deviations by
-    `LEAST_SHRINKAGE` and significantly (one-sided Student's t test).
+    The effect must reduce those that were ``held`` (n_parameters,) by `LEAST_SHRINKAGE`, and
+    significantly by Student's t over the pairs.
     """
     held = np.ones(gaps.shape[2], dtype=bool) if held is None else held
     of_pairs = mean_of_known(np.abs(gaps[:, :, held]), (2, 4))
@@ -839,11 +816,7 @@ def _check_pairs(pairs: Sequence[object]) -> None:
 
 
 def _halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
-    """Return two halves with every source in both: every second receiver of each source.
-
-    Sources begin in turn with the first and the second receiver, so that a half has all receivers
-    where there are two sources.
-    """
+    """Return two halves with every source in both, and with every receiver if sources are two."""
     sources = list(dict.fromkeys(s for s, _ in pairs))
     receivers = list(dict.fromkeys(r for _, r in pairs))
     even = tuple((s, r) for s, r in pairs if (sources.index(s) + receivers.index(r)) % 2 == 0)
@@ -859,12 +832,10 @@ def _misses_over_pairs(
     times: Array | None,
     prediction: Array | float = 0.0,
 ) -> list[Miss]:
-    """Return the means of a parameter over pairs that a model misses, by ``gaps`` (n_pairs, n_bands).
+    """Return the means over pairs that a model misses, by ``gaps`` (n_pairs, n_bands) in JND.
 
-    Their variance is the larger of that over the pairs, of which as many are independent as there are
-    sources or receivers, and of that of noise in as many responses of ``times`` in s (ISO 3382-2). What
-    is ``measured`` is the mean (n_bands,) over the pairs. The gaps are signed and in JND, and so is the
-    standard deviation of the ``prediction`` that the model states for itself; 0 of a calibrated one.
+    Their variance is the larger of that over as many pairs as there are sources or receivers, and
+    of noise in responses of ``times`` (ISO 3382-2), plus that of a ``prediction``.
     """
     independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
     of, mean = observable(name), mean_of_known(gaps, 0)
@@ -884,11 +855,7 @@ def _misses_over_pairs(
 
 
 class _Model(NamedTuple):
-    """A model whose values are compared at the pairs beside each of some halves.
-
-    Its values are the ``tracer``'s or, with a ``run``, the run's plus what the tracer says that a
-    calibration changes. The run is of the tracer's room, or of that of ``of_run``.
-    """
+    """A model, by its tracer or by a run of that tracer's, or another's, room."""
 
     number: int
     tracer: PathTracing
@@ -1023,10 +990,7 @@ def _lacking_at_pairs(case: PositionsCase, runs: Sequence[Measurement]) -> tuple
 def _less(
     measured: Measurement, parameters: Sequence[str], pairs: Sequence[Pair], offset: Array
 ) -> Measurement:
-    """Return a measurement less an ``offset`` in the units of `Observations`; NaN where that is NaN.
-
-    To calibrate a model to it is to calibrate the model with the offset to the measurement.
-    """
+    """Return a measurement less an ``offset``: to calibrate to it is to calibrate with the offset."""
     values, own = dict(measured.values), dict(measured.uncertainty)
     common = dict(measured.common_uncertainty)  # by band alone
     at = [i for i, pair in enumerate(measured.pairs) if pair in pairs]
@@ -1120,13 +1084,9 @@ def at_positions(
     *,
     fitted_times: bool = False,
 ) -> Verification:
-    """Return the verification of a finding by the deviations at pairs that were not fitted.
+    """Return the verification of a finding by the deviations of `MODELS` at pairs that were not fitted.
 
-    ``gaps`` (n_models, n_seeds, n_parameters, n_pairs, n_bands) are simulated minus measured values in
-    JND, for each of `MODELS`. ``halves`` are the two halves of the pairs, and ``added`` is the
-    candidate that a fit to each half added to the model; None where it found no surface. With
-    ``fitted_times`` the models were calibrated to the reverberation times of all pairs, and only the
-    other parameters were held out.
+    If ``fitted_times``, all T were fitted, and only the other parameters were held out.
     """
     pairs, parameters = finding.pairs, finding.parameters
     measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)

@@ -94,21 +94,17 @@ class ControlRooms:
 
 
 def bias_estimates(controls: Sequence[ControlRooms]) -> Array:
-    """Return estimates of the equation's mean error: one per simulator, and a last one of 0.
+    """Return estimates of the equation's mean error, (n, n_configurations, 5, n_bands).
 
-    The shape is (n_estimates, n_configurations, 5, n_bands). Simulators without scattering give no
-    estimate (`ControlRooms.estimates_bias`). The 0 halves an estimate by a single simulator, because a
-    second simulator usually confirms only a part of it.
+    One per simulator that gives one, and a last one of 0, which halves an estimate by a single
+    simulator: a second one usually confirms only a part of it.
     """
     means = [c.mean for c in controls if c.estimates_bias]
     return np.array([*means, np.zeros_like(controls[0].mean)])
 
 
 def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
-    """Return the errors in reference rooms, with a mean error for simulators that give no estimate.
-
-    Their errors are shifted so that the mean is that of `bias_estimates`; the scatter stays.
-    """
+    """Return the errors, moved to the mean of `bias_estimates` where a simulator has no estimate."""
     bias = bias_estimates(controls).mean(axis=0)
     return [
         c if c.estimates_bias else ControlRooms(c.engine, c.errors + (bias - c.mean))
@@ -117,13 +113,11 @@ def recentred(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
 
 
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
-    """Draw random coefficients of a case's room, (n, n_configurations, n_materials, n_bands).
+    """Draw coefficients of a case's room, (n, n_configurations, n_materials, n_bands).
 
-    They are normally distributed with the input alpha, its sigma and the room's correlation between
-    bands. Values below 0.001 or above 0.99 are replaced by these limits; for pieces such as persons,
-    the upper limit is 0.99 times the largest absorption area that rtcal allows for a piece. A material
-    that a configuration changes is drawn independently. The order of materials has no effect on the
-    numbers from ``rng``.
+    They are normal, from 0.001 to 0.99 of the largest possible. A material that a configuration
+    changes is drawn by itself, and the order of materials has no effect on the numbers from
+    ``rng``.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
@@ -147,11 +141,10 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
 
 
 def box(case: Case) -> tuple[Room, Polyhedron, Array]:
-    """Return a box with the volume and absorption of a case's room, to be simulated as a reference.
+    """Return a box with the volume and absorption of a case's room, its geometry, and shares.
 
-    The results are the box as a room, its geometry, and shares (n_materials, 3). The box has one
-    material for each pair of opposite walls; the sum of the shares times the case's alpha is its alpha.
-    Pieces such as persons have no wall: what they add to the mean alpha is added to every wall.
+    Shares (n_materials, 3) times the case's alpha are the alpha of each pair of walls. What pieces
+    such as persons add to the mean alpha is added to every wall.
     """
     room = case.room
     walls = np.where(room.is_surface, room.areas, 0.0)
@@ -185,10 +178,7 @@ def box(case: Case) -> tuple[Room, Polyhedron, Array]:
 
 @dataclass(frozen=True)
 class ControlRoom:
-    """Hold a reference room with a source and receivers, ready for a simulator.
-
-    ``share`` (n_materials, 3) gives the alpha of its walls from that of the case's materials (`box`).
-    """
+    """Hold a reference room with a source and receivers; `box` gives the shares of its alpha."""
 
     room: Room
     geometry: Polyhedron
@@ -210,10 +200,7 @@ class ControlRoom:
         return np.asarray(np.linalg.norm(self.source - places, axis=1))
 
     def by_axis(self, alpha: Array) -> Array:
-        """Return alpha of the walls across each axis, (3, n_bands), from that of the case's materials.
-
-        ``alpha`` is (n_materials, n_bands).
-        """
+        """Return alpha of the walls across each axis, (3, n_bands), from that of the materials."""
         return np.clip(self.share.T @ alpha, 0.0, 0.999)
 
     def time(self, alpha: Array) -> Array:
@@ -271,10 +258,7 @@ def _image_sources(control: ControlRoom, number: int) -> Simulation:
 
 
 def _features(energy: Array, width: float) -> Array:
-    """Return features (n_features, n_bands) of decays (n_pairs, n_bands, n_bins).
-
-    The source has unit energy: its level at 10 m is 1 / (400 pi), the reference of G.
-    """
+    """Return features of decays (n_pairs, n_bands, n_bins); the source has unit energy."""
     values = observables.parameters(energy, width, ("t20", "edt", "t30", "c80"))
     t20, edt, t30 = (values[p].mean(0) for p in ("t20", "edt", "t30"))
     g = 10 * np.log10(400 * np.pi * energy.sum(-1)).mean(0)
@@ -283,22 +267,15 @@ def _features(energy: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Engine:
-    """Describe a simulator of reference rooms: how many rooms it simulates, for how long, and how.
-
-    ``simulator`` is a function of a reference room and its number, which returns a function that
-    simulates the room. ``stream`` selects the random numbers, so that two simulators do not have the
-    same. ``setups`` is the number of reference rooms, and ``duration`` the length of the decays in
-    reverberation times. ``models`` are models of scattering, used in turn; empty without scattering.
-    ``estimates_bias`` is False if only the scatter of the errors counts, not their mean.
-    """
+    """Describe a simulator of reference rooms: how many rooms it simulates, for how long, and how."""
 
     name: str
-    simulator: Callable[[ControlRoom, int], Simulation]
-    stream: int
-    setups: int
-    duration: float
-    models: Sequence[ScatteringModel] = ()
-    estimates_bias: bool = True
+    simulator: Callable[[ControlRoom, int], Simulation]  # of a room and its number
+    stream: int  # of random numbers, which no two simulators share
+    setups: int  # number of rooms
+    duration: float  # of the decays, in reverberation times
+    models: Sequence[ScatteringModel] = ()  # used in turn; none without scattering
+    estimates_bias: bool = True  # or only the scatter of the errors counts
 
     def run(
         self,
@@ -309,10 +286,8 @@ class Engine:
     ) -> ControlRooms:
         """Simulate the reference rooms of a case, and return the errors of the equation in these rooms.
 
-        If the model of a configuration is the result of a simulation program, a path tracing with the
-        program's coefficients takes its place, so that the errors are differences between two
-        simulations. ``seed`` is that of the random numbers. ``progress`` is called after each room.
-        ``scheduler`` is the address of a Dask scheduler; None simulates on this machine.
+        If a program's result is the model of a configuration, a path tracing with the program's
+        coefficients takes its place, so that the errors are differences between two simulations.
         """
         rng = np.random.default_rng([seed, self.stream])
         places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
@@ -334,10 +309,7 @@ class Engine:
         return ControlRooms(self.name, np.array(errors))
 
     def _errors(self, case: Case, job: tuple[int, ControlRoom, ControlRoom, Array]) -> Array:
-        """Return the errors in a reference room, (n_configurations, n_features, n_bands).
-
-        The job is its number, the room, the program's model of it, and alpha of each configuration.
-        """
+        """Return the errors in a reference room, (n_configurations, n_features, n_bands)."""
         number, control, program, alphas = job
         simulate = self.simulator(control, number)
         duration = self.duration * float(control.time(case.room.alpha).max())
@@ -370,10 +342,7 @@ class Engine:
     def _of_programs(
         self, rng: np.random.Generator, scattering: Sequence[tuple[float, ScatteringModel]]
     ) -> list[tuple[float, ScatteringModel]]:
-        """Return each program's coefficient, guessed from the room's, and the next room's model.
-
-        Beside a room that scatters nothing the coefficients are even over the range.
-        """
+        """Return each program's coefficient, guessed from the room's, and the next room's model."""
         low, high = OF_PROGRAMS
         even = (rng.permutation(self.setups) + 0.5) / self.setups
         if not self.models:
@@ -384,19 +353,13 @@ class Engine:
 
 
 def _spread_evenly(rng: np.random.Generator, n: int, dimensions: int) -> Array:
-    """Return points in the unit cube, (n, dimensions), evenly over each coordinate.
-
-    A Latin hypercube (McKay, Beckman & Conover 1979).
-    """
+    """Return a Latin hypercube of points, (n, dimensions), from 0 to 1 (McKay et al. 1979)."""
     cells = np.stack([rng.permutation(n) for _ in range(dimensions)], axis=1)
     return np.asarray((cells + rng.uniform(size=cells.shape)) / n)
 
 
 def _places(sides: Array, places: Array) -> tuple[tuple[float, ...], dict[str, tuple[float, ...]]]:
-    """Return a source and receivers in a box, by numbers from 0 to 1.
-
-    A receiver that is too near the source is moved towards the farthest corner.
-    """
+    """Return a source and receivers that are not near it, by numbers from 0 to 1."""
     source, *others = sides * (0.15 + 0.7 * places.reshape(-1, 3))
     least, receivers = 0.2 * float(np.prod(sides)) ** (1 / 3), {}
     for i, place in enumerate(others, 1):
@@ -419,10 +382,7 @@ ENGINES: Mapping[str, Engine] = {
 
 
 def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
-    """Return reference rooms as a tuple; DataError unless they fit the case.
-
-    They must have the configurations and bands of the case, and be of at least ``least`` simulators.
-    """
+    """Return reference rooms that fit the case, of at least ``least`` simulators, else DataError."""
     every = tuple(
         checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
     )

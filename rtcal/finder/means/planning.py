@@ -332,12 +332,10 @@ _TRACE = 1e-9  # of the mean variance, on a diagonal: two of several features ma
 class Information:
     """Compute how much a further measurement is expected to show about which effects are missing.
 
-    A hypothesis is a combination of effects with given sizes. ``moments`` has mean and covariance,
-    under each of n hypotheses, of the m values (ln T20, C80 and others) that are or could be measured.
-    ``weights`` (n,) are the probabilities of the hypotheses, and ``groups`` (n,) the numbers of their
-    combinations of effects. ``measured`` (m,) is True for values that are measured already. ``values``
-    (n_measured,) are these values, and ``weights`` then the probabilities after the measurement; None
-    if the measurement is only planned.
+    A hypothesis is a combination of effects with sizes. ``moments`` has those of m values that are
+    or could be measured, ``weights`` (n,) the probabilities of the hypotheses, and ``groups`` (n,)
+    the numbers of their combinations. ``measured`` (m,) are the values that are measured, as
+    ``values``; None of these if the measurement is only planned.
     """
 
     def __init__(
@@ -371,10 +369,7 @@ class Information:
         return float(self._entropy(self._weights[None])[0])
 
     def of(self, further: Mask) -> float:
-        """Return the information in nats that also measuring the values ``further`` would give.
-
-        It is the expected decrease of `entropy`. ``further`` (m,) is True for these values.
-        """
+        """Return the expected decrease of `entropy` in nats by values ``further`` (m,)."""
         return self._information(further | self._measured) - self._information(self._measured)
 
     def _information(self, mask: Mask) -> float:
@@ -413,12 +408,10 @@ FURTHER = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
 def _separations(
     problem: MeansProblem, first: int, further: Sequence[str] = ()
 ) -> dict[str, float]:
-    """Return the expected ln Bayes factor for one hypothesis against each effect, if it is true.
+    """Return the expected ln Bayes factor of hypothesis ``first`` against each effect, if it is true.
 
-    ``first`` is the number of that hypothesis, an effect with one set of parameter values. The result
-    has for each effect, by name, the minimum over its parameter values of ½ d' C⁻¹ d. d is the
-    difference of the compared values (ln T20, C80 and others) between the two hypotheses, and C the
-    covariance. ``further`` are names of parameters that are compared in addition to the measured ones.
+    It is the minimum of ½ d' C⁻¹ d over the parameter values of the effect, d being the difference
+    of the compared values. ``further`` names parameters that are compared beside the measured ones.
     """
     predicted, observed = problem.predicted, problem.observed
     used = observed.used.copy()
@@ -490,13 +483,7 @@ _ABSORBER = {"thickness": 0.05, "flow_resistivity": 12e3}
 
 @dataclass(frozen=True, eq=False)
 class _FurtherMeasurement:
-    """Describe a measurement that could be made next.
-
-    Either ``parameters`` are measured in the existing configurations, or a new ``configuration`` is
-    measured. ``measurement`` is its description. ``same_error`` is the correlation of the model's
-    errors in the new and the first configuration. ``share`` is the variance of the new measurement
-    relative to that of the first configuration.
-    """
+    """Describe a measurement to come: of ``parameters``, or of a new ``configuration``."""
 
     measurement: Reason
     parameters: tuple[str, ...] = ()
@@ -506,11 +493,7 @@ class _FurtherMeasurement:
 
 
 def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[_FurtherMeasurement]:
-    """Return the further measurements that can be made in a case's room.
-
-    They are parameters that were not measured, more positions, another climate, the largest surface
-    covered with mineral wool, the removal of what may be missing, and the configurations ``planned``.
-    """
+    """Return the further measurements that can be made in a case's room, with those ``planned``."""
     room, first = case.room, case.configurations[0]
     out = [
         _FurtherMeasurement(Reason(kind), parameters)
@@ -545,11 +528,10 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[_Further
 def extended(
     problem: MeansProblem, further: Sequence[_FurtherMeasurement]
 ) -> tuple[MeansProblem, Mask, list[Mask]]:
-    """Return a search's problem with further measurements added to its data.
+    """Return a problem with further measurements added to its data, and masks of its m values.
 
-    The hypotheses of the ``problem`` stay the same. The second result (m,) is True for the values (ln
-    T20, C80 and others) that are measured already. The third has an array (m,) for each of the
-    measurements ``further``, True for the values that it adds.
+    The first mask (m,) is of those that are measured already, and one for each of ``further`` of
+    those that it adds.
     """
     case, observed = problem.case, problem.observed
     new = [f for f in further if f.configuration is not None]

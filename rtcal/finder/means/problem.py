@@ -114,25 +114,19 @@ possible."""
 
 @dataclass(frozen=True, eq=False)
 class _PredictedFeatures:
-    """Hold the features that a model predicts for n states of a case's room, and their derivatives.
-
-    ``features`` (n, n_configurations, 5, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and C80 and G in
-    dB. ``slopes`` are their derivatives by ln T20, in the same shape. ``jacobian`` (n,
-    n_configurations, n_materials, n_bands) is -d ln T20 / d alpha.
-    """
+    """Hold the features that a model predicts for n states of a case's room, and their derivatives."""
 
     case: Case
-    features: Array
-    slopes: Array
-    jacobian: Array
+    features: Array  # (n, n_configurations, 5, n_bands), of `FEATURES`
+    slopes: Array  # its derivatives by ln T20
+    jacobian: Array  # -d ln T20 / d alpha, (n, n_configurations, n_materials, n_bands)
 
     def log_time_errors(self, rows: Indices) -> tuple[Array, Array]:
-        """Return the covariance of ln T20 from errors of alpha and climate, and its common errors.
+        """Return the covariance (n, size, size) of ln T20, and its errors in common.
 
-        The covariance is (n, size, size), where size is the number of configurations times that of
-        bands. Common errors (n, size, n_directions) are the changes of ln T20 by one standard deviation
-        of each error that all coefficients have in common; the covariance includes them. ``rows`` are
-        the numbers of the n states.
+        The size is the number of configurations times that of bands. Errors in common (n, size,
+        n_directions) are the changes by one standard deviation of each; the covariance includes
+        them.
         """
         sigma, changed, rho, of_alpha, of_climate = _uncertain(self.case)
         factor = self.jacobian[rows] * sigma
@@ -159,12 +153,7 @@ _RATE = 6 * np.log(10)
 def predict_in(
     case: Case, configuration: Configuration, states: Sequence[RoomState], far: float = 1.0
 ) -> Predicted:
-    """Return what a case's model predicts for states of the room in one configuration.
-
-    ``far`` is a factor on the source-receiver distances. If the configuration has the result of a
-    simulation program, the difference between this result and the equation's is added to the features,
-    which are ln T20, ln EDT/T20, ln T30/T20, C80 and G.
-    """
+    """Return what a case's model predicts in one configuration, by states; a run's offset is added."""
     made = predict(states, far * distances(case, configuration))
     if configuration.simulated is None:
         return made
@@ -174,12 +163,7 @@ def predict_in(
 
 @lru_cache(maxsize=8)
 def offset_of(case: Case, configuration: Configuration) -> Array:
-    """Return the result of a simulation program minus that of the equation, (5, n_bands).
-
-    Both are for the coefficients with which the program was run. The rows are ln T20, ln EDT/T20, ln
-    T30/T20, and C80 and G in dB. The difference is NaN where the program gave no value, and 0 for a
-    configuration without a program.
-    """
+    """Return a run's features minus the equation's at its alpha, (5, n_bands); 0 without a run."""
     run = configuration.simulated
     if run is None:
         return read_only(np.zeros((len(FEATURES), case.room.n_bands)))
@@ -213,10 +197,9 @@ def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Arra
     """Return what alpha and the climate may be off by, for `_PredictedFeatures.log_time_errors`.
 
     Sigma (n_configurations, n_materials, n_bands), which materials changed (n_configurations,
-    n_materials, 1), the bands' correlation, `directions`, and the change of k in 1/s by one standard
-    deviation of temperature and of humidity, (n_configurations, n_columns, n_bands). Configurations
-    without a climate of their own share the columns of the room's; without any climate they are 0. What
-    a temperature changes of the speed of sound, 0.17 % per K, is left out.
+    n_materials, 1), the bands' correlation, `directions`, and the change of k in 1/s by one
+    standard deviation of temperature and of humidity, (n_configurations, n_columns, n_bands). The
+    0.17 % per K of the speed of sound are left out.
     """
     room, (kelvin, percent) = case.room, case.climate_uncertainty
     owners = [0 if c.air is None else i + 1 for i, c in enumerate(case.configurations)]
@@ -240,13 +223,7 @@ def _uncertain(case: Case) -> tuple[Array, NDArray[np.bool_], Array, Array, Arra
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeansHypotheses(_PredictedFeatures):
-    """Hold what a model predicts with each effect that is tried, for each set of its parameter values.
-
-    An effect with one set of values is a hypothesis; the first hypothesis is "none", without an effect.
-    ``features`` (n_hypotheses, n_configurations, 5, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and
-    C80 and G in dB. ``slopes`` are their derivatives by ln T20, and ``jacobian`` is -d ln T20 / d
-    alpha.
-    """
+    """Hold what a model predicts with each effect, for each set of its parameter values."""
 
     names: tuple[str, ...]
     parameters: tuple[Parameters, ...]
@@ -286,10 +263,9 @@ class MeansHypotheses(_PredictedFeatures):
 def predict_hypotheses(
     case: Case, effects: Sequence[Effect], grids: Sequence[Sequence[Parameters]] | None = None
 ) -> MeansHypotheses:
-    """Return the predictions of a case's model with each effect that is tried.
+    """Return the predictions of a case's model with each effect, by default on its own grid.
 
-    ``grids`` has, for each of ``effects``, the sets of parameter values to try; None means those that
-    the effect proposes. Raises DataError if an effect breaks a rule, or has no finite T, C80 and G.
+    Raises DataError if an effect breaks a rule, or has no finite T, C80 and G.
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
@@ -336,11 +312,7 @@ def predict_hypotheses(
 
 
 def check_size(case: Case, n_hypotheses: int) -> None:
-    """Raise DataError for a case that is too large to be compared.
-
-    At most 1000 measured values (parameters times bands) and 5000 hypotheses (effects with one set of
-    parameter values) are possible.
-    """
+    """Raise DataError for more than 1000 measured values or 5000 hypotheses."""
     room, n = case.room, len(case.configurations)
     measured = sum(len(set(c.measured.values) & set(FEATURES)) for c in case.configurations)
     if (size := measured * room.n_bands) > LARGEST_FEATURES:
@@ -365,10 +337,8 @@ def features_of(
 ) -> Array:
     """Return what a case's model predicts in each configuration, (n_configurations, 5, n_bands).
 
-    The values are ln T20, ln EDT/T20, ln T30/T20, and C80 and G in dB. ``applied`` replaces the effects
-    in the model; None keeps them. If ``changed`` is False, the materials that configurations change
-    keep their input coefficients. ``far`` is a factor on the source-receiver distances, one number or
-    (n_configurations,).
+    ``applied`` replaces the effects in the model. With ``changed`` False materials keep their input
+    coefficients, and ``far`` is a factor on the distances, one number or (n_configurations,).
     """
     case = case if applied is None else replace(case, applied=applied)
     out = []
@@ -382,10 +352,7 @@ def features_of(
 
 @lru_cache(maxsize=1)
 def _applied(case: Case) -> Array:
-    """Return the covariance over all features, raveled, (size, size).
-
-    Of distances, of stated changes, and of applied sizes and misfits.
-    """
+    """Return the covariance of all features by distances, changes and applied effects, raveled."""
     base = features_of(case)
     count, n_bands = len(case.configurations), case.room.n_bands
     # Positions may differ between configurations, so each has an error of its distance.
@@ -433,11 +400,10 @@ def _misfit(
 ) -> Array:
     """Return the covariance (..., m, m) of the error of an effect's equation, for m values.
 
-    ``d`` (..., m) are the changes of the values by the effect, and ``feature`` (m,) the numbers of
-    their parameters in `FEATURES`. ``amount`` (..., m) are the changes of ln T20 in the same band and
-    configuration. ``errors`` (..., m, n_errors) are relative errors that bands have in common
-    (`Effect.errors_over_bands`). ``alone`` (...) is the standard deviation of the relative error that
-    each value has by itself.
+    ``d`` (..., m) are the changes by the effect, and ``amount`` those of ln T20 in the same band
+    and configuration; ``feature`` (m,) are rows of `FEATURES`. ``errors`` (..., m, n_errors) are
+    relative errors in common (`Effect.errors_over_bands`), ``alone`` (...) that of each value by
+    itself.
     """
     columns = _misfit_columns(d, amount, feature, errors)
     own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
@@ -448,11 +414,7 @@ def _misfit(
 
 
 def _misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: Array) -> Array:
-    """Return the errors of an effect's equation that bands have in common, (..., m, n_errors + 2).
-
-    Each column is one standard deviation of an independent error of m features. The last two columns
-    are errors of the decay's shape (`SHAPE_CHANGE`). For the parameters see `_misfit`.
-    """
+    """Return the errors in common, (..., m, n_errors + 2), the last two of the decay's shape."""
     shape = [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
     parts = np.sqrt(0.5) * np.stack(shape, axis=-1)
     return np.concatenate([d[..., None] * errors, parts], axis=-1)
@@ -472,18 +434,12 @@ ONE_LEVEL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ObservedFeatures:
-    """Hold the measured values that are compared with a model, and their covariance.
+    """Hold the measured values that are compared with a model, and their covariance."""
 
-    ``features`` (n_configurations, 5, n_bands) are ln T20, ln EDT/T20, ln T30/T20, and C80 and G in dB,
-    NaN where nothing was measured. ``used``, of the same shape, is True for the n_used values that are
-    compared. ``covariance`` (n_used, n_used) is that of the measurement, and ``origin`` a sentence on
-    where its uncertainties come from.
-    """
-
-    features: Array
-    used: Array
-    covariance: Array
-    origin: Reason
+    features: Array  # (n_configurations, 5, n_bands); NaN where nothing was measured
+    used: Array  # which of them are compared
+    covariance: Array  # (n_used, n_used), of the measurement
+    origin: Reason  # where its uncertainties come from
 
     @cached_property
     def values(self) -> Array:
@@ -497,12 +453,7 @@ class ObservedFeatures:
 
 
 def steps(case: Case, used: Array) -> dict[int, str]:
-    """Return the two steps in which the data are tested: T of the first configuration, then all data.
-
-    The result maps the number of values in each step to the step's name in print; without other data
-    there is only one step. ``used`` (n_configurations, 5, n_bands) is True for the values that are
-    compared.
-    """
+    """Return names by number of values of two steps: T of the first configuration, then all data."""
     first = int(np.argmax(used.any((1, 2))))
     configuration = case.configurations[first]
     time = parameter_label("t20" if "t20" in configuration.measured.values else "t30")
@@ -511,11 +462,7 @@ def steps(case: Case, used: Array) -> dict[int, str]:
 
 
 def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
-    """Return the measured values of a case that are compared with its model, and notes.
-
-    The notes name the bands that are left out, because T is missing or too uncertain. Raises DataError
-    if no band is left.
-    """
+    """Return the measured values that are compared, and notes; DataError if T has no band."""
     notes: list[Reason] = []
     origins: dict[str, list[str]] = {"stated": [], "made": []}
     n, k = len(case.configurations), case.room.n_bands
@@ -601,11 +548,7 @@ def features_of_values(m: Measurement) -> Array:
 def values_of_features(
     features: Array, frequencies: Array, parameters: Collection[str]
 ) -> Measurement:
-    """Return a model's predictions (5, n_bands) as a measurement with the named ``parameters``.
-
-    The predictions are ln T20, ln EDT/T20, ln T30/T20, C80 and G. If "t20" is not among the parameters,
-    the first row is that of ln T30. ``frequencies`` (n_bands,) are in Hz.
-    """
+    """Return predictions (5, n_bands) as a measurement with the named ``parameters``."""
     log_time, edt, t30, c80, g = features
     with np.errstate(over="ignore"):
         values = {
@@ -620,10 +563,7 @@ def values_of_features(
 
 
 def covariance_of_run(run: Measurement) -> Array:
-    """Return the covariance of a simulation program's result, (n_bands, 5, 5), from its uncertainty.
-
-    The five are ln T20, ln EDT/T20, ln T30/T20, C80 and G. A result without uncertainty has 0.
-    """
+    """Return the covariance of a program's result, (n_bands, 5, 5); 0 without an uncertainty."""
     block = np.zeros((len(run.centre_frequencies), 5, 5))
     for row, p in enumerate((_amount(run), "edt", "t30", *LEVELS)):
         if p in run.uncertainty:
@@ -633,10 +573,9 @@ def covariance_of_run(run: Measurement) -> Array:
 
 
 def _uncertainty(m: Measurement, p: str) -> tuple[Array, Array, str]:
-    """Return the standard uncertainty of a mean, the part that all pairs share, and their origin.
+    """Return the uncertainty of a mean by itself, the part that all pairs share, and their origin.
 
-    Both (n_bands,), relative for a decay time and in dB for a level. A stated uncertainty is the whole,
-    with the part in common that is stated.
+    Both (n_bands,), relative for a time and in dB for a level.
     """
     mean = m.mean(p)
     scale = mean if p in TIMES else np.ones_like(mean)
@@ -669,19 +608,12 @@ pair, less of a mean over pairs."""
 
 
 def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> RoomState:
-    """Return the acoustic state of a case's room in one configuration, with the effects in its model.
-
-    ``alpha`` (n_materials, n_bands) replaces the coefficients of the room; None keeps them. Materials
-    that the configuration changes have the coefficients of the configuration.
-    """
+    """Return the state of a case's room in one configuration, by default with the room's alpha."""
     return states(case, configuration, [case.room.alpha if alpha is None else alpha])[0]
 
 
 def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) -> list[RoomState]:
-    """Return the states of a case's room in one configuration, one for each array in ``alphas``.
-
-    Each array has the coefficients of the materials, (n_materials, n_bands).
-    """
+    """Return the states of a case's room in one configuration, one for each alpha."""
     room = case.room
     changed = {room.material_index(m): c.alpha for m, c in configuration.changes.items()}
     unchanged = RoomState.of_room(room, case.facing, case.equation)
@@ -705,11 +637,7 @@ def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) ->
 def with_applied(
     unchanged: RoomState, applied: Sequence[AppliedEffect], configuration: Configuration
 ) -> RoomState:
-    """Return the state of a room in one configuration with the effects that are in the model.
-
-    ``unchanged`` is the state without these effects, and ``applied`` are the effects. An object that
-    can be removed is left out if the ``configuration`` was measured after its removal.
-    """
+    """Return a state with effects, without what a ``configuration`` was measured without."""
     for p in applied:
         if not (configuration.suspect_removed and p.effect.removable):
             (unchanged,) = changed_states(p.effect, unchanged, [p.parameters])
@@ -717,10 +645,7 @@ def with_applied(
 
 
 def distances(case: Case, configuration: Configuration) -> Array:
-    """Return the source-receiver distances in m, (n_pairs,).
-
-    If none are given, it is one distance: 0.66 times the cube root of the volume.
-    """
+    """Return the source-receiver distances in m, (n_pairs,); one usual distance if none are given."""
     if configuration.distances is not None:
         return configuration.distances
     return np.array([USUAL_DISTANCE * case.room.volume ** (1 / 3)])
@@ -754,12 +679,9 @@ class ModelDiscrepancy:
 def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelDiscrepancy:
     """Return mean and covariance of the error of a case's equation, estimated from reference rooms.
 
-    The mean is that of `bias_estimates`. The covariance is the scatter between the rooms of each
-    simulator plus the scatter between the simulators. Because the rooms are few, the covariance is
-    averaged with its own diagonal (weight 0.4).
-
-    If the measurement is compared with a geometrical program's result, the sign of an error is not
-    known: the mean is then 0, and each simulator's mean error is added to the covariance.
+    The covariance is the scatter between rooms plus that between simulators, averaged with its own
+    diagonal because the rooms are few. Of a geometrical program's result the sign of an error is
+    not known: the mean is then 0, and each simulator's mean error is added to the covariance.
     """
     n, k = len(case.configurations), case.room.n_bands
     size, either = n * len(FEATURES) * k, _of_either(case)
@@ -785,45 +707,31 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
 
 
 def _of_either(case: Case) -> NDArray[np.bool_]:
-    """Return which configurations have the result of a geometrical program, (n_configurations, 1, 1).
-
-    In these, either the program or the room may have the more diffuse field, because the scattering
-    coefficients in the program are a guess.
-    """
+    """Return which configurations, (n, 1, 1), a geometrical program ran: it errs either way."""
     by_run = [bool(case.program) and c.simulated is not None for c in case.configurations]
     return np.array(by_run)[:, None, None]
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Hold the mean (n, m) and covariance (n, m, m) of m compared values under n hypotheses.
+    """Hold mean and covariance of m compared values under n hypotheses, and r errors in common."""
 
-    The values are ln T20, C80 and others, by configuration and band. A hypothesis is an effect with one
-    set of parameter values. ``common`` (n, r, m) are the changes of the values by one standard
-    deviation of r errors that all coefficients have in common.
-    """
-
-    mean: Array
-    covariance: Array
-    common: Array
+    mean: Array  # (n, m)
+    covariance: Array  # (n, m, m)
+    common: Array  # (n, r, m), by one standard deviation of each error
 
 
 @dataclass(frozen=True, eq=False)
 class MeansProblem:
-    """Hold all that a search by means compares: the measured values, the predictions and their errors.
-
-    ``observed`` has the n_used measured values, ``predicted`` the predictions under each hypothesis (an
-    effect with one set of parameter values), and ``discrepancy`` the error of the equation. ``cells``
-    (n_hypotheses, n_used, n_parameters) is used for combinations of effects: the standard deviation of
-    each value over the parameter values between one hypothesis and the next. It is empty for single
-    effects.
-    """
+    """Hold all that a search by means compares: measured values, predictions and their errors."""
 
     case: Case
     observed: ObservedFeatures
     predicted: MeansHypotheses
     discrepancy: ModelDiscrepancy
     cells: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+    """Standard deviation of each value between the parameter values that are tried, (n_hypotheses,
+    n_used, n_parameters); empty for single effects."""
 
     @cached_property
     def mask(self) -> NDArray[np.bool_]:
@@ -853,19 +761,12 @@ class MeansProblem:
         return np.asarray(self.discrepancy.bias[self.mask])
 
     def residual(self, i: int, values: Array | None = None) -> Array:
-        """Return the measured values minus those predicted under hypothesis number ``i``, (n_used,).
-
-        ``values`` (..., n_used) replace the measured values; None keeps them.
-        """
+        """Return measured or other ``values`` (..., n_used) minus those of hypothesis ``i``."""
         y = self.observed.values if values is None else values
         return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
 
     def by_log_time(self, predicted: _PredictedFeatures, rows: Indices, changes: Array) -> Array:
-        """Return the changes of the compared values by changes of ln T20, (n, n_used, n_columns).
-
-        ``changes`` (n, size, n_columns) are those of ln T20 in each configuration and band, in any
-        number of columns. ``rows`` are the numbers of the n hypotheses in ``predicted``.
-        """
+        """Return changes (n, n_used, n_columns) by those of ln T20, (n, size, n_columns)."""
         c, f, b = self.places
         slopes = predicted.slopes[rows][:, c, f, b]
         return np.asarray(changes.take(c * predicted.case.room.n_bands + b, 1) * slopes[:, :, None])
@@ -878,10 +779,9 @@ class MeansProblem:
     ) -> Moments:
         """Return mean and covariance of the compared values under n hypotheses.
 
-        ``rows`` are the numbers of the hypotheses, each an effect with one set of parameter values. For
-        combinations of effects, ``predicted`` has the predictions with all effects of each combination,
-        ``rows`` are its numbers, and ``members`` has the numbers of the single hypotheses: one array
-        (n,) for the first effect of each combination, one for the second, and so on.
+        For combinations of effects, ``predicted`` has the predictions with all effects of each,
+        ``rows`` are its numbers, and ``members`` those of its first effect (n,), of its second, and
+        so on.
         """
         made, alone = predicted or self.predicted, [rows] if members is None else members
         c, f, b = self.places
@@ -901,22 +801,14 @@ class MeansProblem:
     def of_alpha(
         self, rows: Indices, predicted: _PredictedFeatures | None = None
     ) -> tuple[Array, Array]:
-        """Return the covariance of the compared values from errors of alpha and climate.
-
-        The first result is the covariance, (n, n_used, n_used). The second, (n, n_used, n_directions),
-        has the changes by one standard deviation of each error that all coefficients have in common.
-        ``rows`` are the numbers of n hypotheses in ``predicted``, by default the problem's own.
-        """
+        """Return the covariance (n, n_used, n_used) from alpha and climate, and its common errors."""
         made = predicted or self.predicted
         of_time, together = made.log_time_errors(rows)
         half = self.by_log_time(made, rows, of_time).swapaxes(1, 2)
         return self.by_log_time(made, rows, half), self.by_log_time(made, rows, together)
 
     def error_of_change(self, rows: Indices) -> Array:
-        """Return the covariance of the error of the effects' equations, (n, n_used, n_used).
-
-        ``rows`` are the numbers of n hypotheses. The error is proportional to the change by the effect.
-        """
+        """Return the covariance of the error of the effects' equations, (n, n_used, n_used)."""
         _, f, b = self.places
         errors = self.predicted.spectrum_errors[rows]
         errors = errors[:, :, errors.any((0, 1))].take(b, 1)
@@ -928,11 +820,7 @@ class MeansProblem:
         return out
 
     def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
-        """Return two covariances of the compared values: from coefficients, and from other errors.
-
-        Both are (n_used, n_used), under hypothesis number ``i``. ``scale`` is a factor on the errors
-        that all coefficients have in common.
-        """
+        """Return covariances (n_used, n_used) of hypothesis ``i``, by alpha and by the rest."""
         row = slice(i, i + 1)
         (alpha,), (common,) = self.of_alpha(row)
         if scale != 1:
@@ -940,12 +828,7 @@ class MeansProblem:
         return alpha, self.without_alpha + self.error_of_change(row)[0]
 
     def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
-        """Return how well hypothesis number ``i`` explains the measurement: distance and p-value.
-
-        The distance is sqrt(r' C⁻¹ r / n) for the n residuals r with the covariance C; it is about 1 if
-        the hypothesis is true. The p-value is the probability of a larger chi-square r' C⁻¹ r (Gelman,
-        Meng & Stern 1996). ``scale`` is a factor on the errors that all coefficients have in common.
-        """
+        """Return the distance sqrt(r' C⁻¹ r / n) of hypothesis ``i`` and its p-value by chi-square."""
         alpha, other = self.covariance_of(i, scale)
         residual = self.residual(i)
         square = float(residual @ np.linalg.solve(alpha + other, residual))
@@ -974,14 +857,11 @@ def _log_likelihoods(
     off: bool,
     coarsened: bool = True,
 ) -> tuple[Array, Array]:
-    """Return the log densities of data under each hypothesis, without and with a common error.
+    """Return log densities of data (n_draws, n), without and with a common error F of coefficients.
 
-    Both are (n_ends, n_hypotheses, n_draws). A common error F is one that all coefficients have in
-    common. With it the density is the mean over the factors s in `SCALES`, with the covariance C + (s²
-    - 1) F F'; it is -inf if ``off`` is False. ``parts`` are the moments of n features under some of the
-    hypotheses at a time, and ``values`` (n_draws, n) the measured or drawn features. ``ends`` are the
-    rising numbers of leading features, for each of which a density is returned. If ``coarsened`` is
-    True, densities are raised to a power below 1, as in `rtcal.finder.evidence.student`.
+    Both are (n_ends, n_hypotheses, n_draws), of the leading features up to each of ``ends``. With
+    it the density is the mean over the factors s in `SCALES`, with C + (s² - 1) F F'; -inf if
+    ``off`` is False. For ``coarsened`` see `rtcal.finder.evidence.student`.
     """
     scales = np.array(SCALES)
     more, log_probability = (scales[:, 0] ** 2 - 1)[:, None, None], np.log(scales[:, 1])
@@ -1010,10 +890,7 @@ def _log_likelihoods(
 
 
 def log_density(residual: Array, covariance: Array) -> Array:
-    """Return the log density of a residual (m,) under each of n covariances (n, m, m), as (n,).
-
-    The density is Student's t (`rtcal.finder.evidence.student`).
-    """
+    """Return the log density of a residual (m,) by Student's t with n covariances (n, m, m), (n,)."""
     n = len(covariance)
     of = Moments(np.zeros((n, len(residual))), covariance.copy(), np.zeros((n, 0, len(residual))))
     (log,), _ = _log_likelihoods([of], residual[None], [len(residual)], off=False)
@@ -1033,19 +910,13 @@ NEGLIGIBLE = 8.0
 
 @dataclass(frozen=True, eq=False)
 class MeansEvidence:
-    """Hold the log likelihood of the measurement under every hypothesis, and under an unknown effect.
-
-    A hypothesis is an effect with one set of parameter values. ``stated`` is the log likelihood with
-    the input coefficients, and ``off`` that with an error that all coefficients have in common, whose
-    prior probability is ``prior_off``. Both are (n_hypotheses,), or (n_hypotheses, n_draws) for random
-    data. ``unknown`` is the log likelihood under an effect that is not in the library.
-    """
+    """Hold log likelihoods by hypothesis, (n,), or (n, n_draws) of random data."""
 
     problem: MeansProblem
-    stated: Array
-    off: Array
-    unknown: Array
-    prior_off: float
+    stated: Array  # with the input coefficients
+    off: Array  # with an error that all coefficients have in common
+    unknown: Array  # under an effect that is not in the library
+    prior_off: float  # prior probability of that error
 
     def by_effect(self) -> dict[str, Array]:
         """Return the log marginal likelihood of each effect, "none", "coefficients" and "unknown"."""
@@ -1056,17 +927,11 @@ class MeansEvidence:
         return out | {NONE: self.stated[0], COEFFICIENTS: self.off[0], UNKNOWN: self.unknown}
 
     def by_hypothesis(self) -> Array:
-        """Return the log likelihood of each hypothesis, (n_hypotheses,).
-
-        It is averaged over the cases with and without an error that all coefficients have in common.
-        """
+        """Return the log likelihoods, averaged over an error in common being there or not."""
         return log_mixture(self.stated, self.off, self.prior_off)
 
     def off_given(self, name: str) -> Array:
-        """Return the probability that all coefficients have an error in common, given an effect.
-
-        ``name`` is the effect, or "none".
-        """
+        """Return the probability of an error in common, given an effect or "none"."""
         rows = self.problem.predicted.rows[name]
         with np.errstate(divide="ignore"):
             off = self._weighted(self.off)[rows] + np.log(self.prior_off)
@@ -1084,10 +949,7 @@ class MeansEvidence:
         return float(table[name] - table[NONE])
 
     def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
-        """Return the log likelihoods of one effect with other effects added to the model.
-
-        ``name`` is the effect, and ``others`` are the effects that are added.
-        """
+        """Return the log likelihoods of one effect with ``others`` added to the model."""
         case = self.problem.case
         case = replace(case, applied=(*case.applied, *others))
         predicted = predict_hypotheses(case, [self.problem.predicted.effects[name]])
@@ -1101,11 +963,9 @@ def evaluate(
     values: Array | None = None,
     ends: Sequence[int] = (),
 ) -> list[MeansEvidence]:
-    """Return the log likelihoods of all hypotheses and of an unknown effect.
+    """Return the log likelihoods of all hypotheses and of an unknown effect, for each leading part.
 
-    ``prior_off`` is the prior probability that all coefficients have an error in common. ``values``
-    (n_draws, n_used) replace the measured values; None keeps them. ``ends`` are numbers of values: for
-    each, the list has the result from only that many first values; the last entry is from all.
+    ``values`` (n_draws, n_used) replace the measured ones. The last entry is that of all values.
     """
     ends = [*ends, len(problem.observed.values)]
     y = np.atleast_2d(problem.observed.values if values is None else values)
@@ -1134,12 +994,7 @@ _IMPOSSIBLE = -1e4
 def evaluate_beyond(
     problem: MeansProblem, prior_off: float, ends: Sequence[int] = ()
 ) -> list[MeansEvidence]:
-    """Return the log likelihoods of all hypotheses, after trying larger or smaller sizes where needed.
-
-    If the last size that was tried of an effect fits best, further sizes are tried in the same steps,
-    up to the effect's limits or until the likelihood no longer rises. Parameters and result are those
-    of `evaluate`.
-    """
+    """Return what `evaluate` does, with further sizes where the last one fits best, while it rises."""
     case = problem.case
     evidence, reached = evaluate(problem, prior_off, ends=ends), dict[str, float]()
     for _ in range(_ROUNDS):
@@ -1175,12 +1030,9 @@ def _unknown_evidence(
     *,
     coarsened: bool = True,
 ) -> Array:
-    """Return the log evidence of an unknown effect, (n_ends, n_draws).
+    """Return the log evidence of an unknown effect, (n_ends, n_draws), of residuals (n_draws, n_used).
 
-    Its change of the features is random and partly smooth over bands. ``residual`` (n_draws, n_used) is
-    measured minus predicted, and ``covariance`` that of the residual. ``used`` (n_configurations,
-    n_features, n_bands) is a mask of the compared features, and ``ends`` are numbers of leading
-    features. For ``coarsened`` see `rtcal.finder.evidence.student`.
+    Its change of the features is random and partly smooth over bands.
     """
     count, _, n_bands = used.shape
     lag = np.abs(np.subtract.outer(np.arange(n_bands), np.arange(n_bands)))
@@ -1213,11 +1065,7 @@ def null_scores(
     prior: Prior,
     draws: int = 400,
 ) -> Array:
-    """Return the `score` of random rooms from whose model nothing is missing, (n_draws, n_steps).
-
-    Each room has random coefficients, an error of the equation from a reference room, and noise of the
-    measurement. The `steps` are T of the first configuration, and all data.
-    """
+    """Return the `score` of random rooms from whose model nothing is missing, (n_draws, n_steps)."""
     rng = np.random.default_rng([0, 3])
     ends, scores, either = list(steps(case, observed.used))[:-1], [], _of_either(case)
     signs = (1, -1) if either.any() else (1,)  # without a run the rooms drawn stay the same
@@ -1236,12 +1084,7 @@ def null_scores(
 
 
 def thresholds(scores: Array) -> Array:
-    """Return the score that counts as detection, for each step of the data, (n_steps,).
-
-    ``scores`` (n_rooms, n_steps) are those of rooms with nothing missing. The thresholds are quantiles
-    of these scores at one level, chosen so that 5 % of the rooms exceed one or more of them; none is
-    below 0.
-    """
+    """Return the scores (n_steps,) at one level of which 5 % of the rooms exceed one or more."""
     raised = np.maximum(scores, MINIMUM)
     below = [np.searchsorted(np.sort(column), column) for column in raised.T]
     level = np.quantile(np.max(below, axis=0) / max(len(scores) - 1, 1), QUANTILE)
@@ -1258,11 +1101,9 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
 
 
 def score(evidence: MeansEvidence, prior: Prior) -> Array:
-    """Return the ln Bayes factor that something is missing from the model, against nothing missing.
+    """Return the ln Bayes factor that something is missing from the model.
 
-    It compares the mean likelihood of all effects, weighted by their probabilities in ``prior``, with
-    that of no effect. If the model is a geometrical program's result, an uneven sound field counts as
-    nothing missing, because the program simulates it.
+    An uneven sound field is nothing missing from a geometrical program, which simulates it.
     """
     table: Mapping[str, Array] = evidence.by_effect()
     program, effects = evidence.problem.case.program, evidence.problem.predicted.effects
@@ -1287,10 +1128,8 @@ def draw_null_features(
 ) -> Array:
     """Return random measured values (n, n_used) of rooms from whose model nothing is missing.
 
-    ``observed`` has the values that are compared, and their covariance. ``errors`` has the equation's
-    errors in each simulator's reference rooms, one of which is added to each room. ``applied`` is the
-    covariance from effects that are in the model already, and from unknown distances. ``rng`` is the
-    generator of random numbers.
+    ``errors`` has the equation's errors in each simulator's reference rooms, and ``applied`` the
+    covariance from effects in the model and unknown distances.
     """
     in_common = drawn(directions(case, NULL_POWER), case.room.materials, rng, n)
     alphas = draw_alpha(case, rng, n) + in_common
@@ -1310,11 +1149,10 @@ def draw_null_features(
 
 
 def compare(problem: MeansProblem) -> MeansProblem:
-    """Return a problem in which combinations of effects are compared, with two further errors.
+    """Return a problem for combinations of effects, with two further errors.
 
-    The errors are that of the direct sound's level (`DIRECT_SOUND`), and the change of each value
-    between neighbouring parameter values that are tried (`MeansProblem.cells`). Without them, they
-    would look like a second effect.
+    Those of the direct sound's level (`DIRECT_SOUND`), and of the change between neighbouring
+    parameter values (`MeansProblem.cells`), would look like a second effect.
     """
     case, predicted = problem.case, problem.predicted
     columns = np.zeros((*predicted.features.shape[1:], case.room.n_bands))
@@ -1366,11 +1204,10 @@ def applied_effects(predicted: MeansHypotheses, rows: Members) -> tuple[AppliedE
 
 
 def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], frozenset[str]]:
-    """Return the names of effects in the order in which a combination of them is added to a room.
+    """Return names of effects in the order in which they act, and of those that shape the decay.
 
-    Another reverberation equation comes first, because absorbers are added in its terms; then effects
-    that replace input values of the room; then all others. The second result has the names of the
-    effects that replace the shape of the decay; a combination may have only one of these.
+    Another equation comes first, because absorbers are added in its terms; then effects that
+    replace input values; then all others. A combination has only one that shapes the decay.
     """
     base = state(case, case.configurations[0])
     changed = {
@@ -1387,10 +1224,7 @@ def acting_order(case: Case, predicted: MeansHypotheses) -> tuple[list[str], fro
 
 
 class Screen:
-    """Compute approximate log likelihoods of pairs of effects, from the changes by each effect alone.
-
-    ``base`` are the numbers of hypotheses that are in every pair, so that the pairs become triples.
-    """
+    """Compute approximate log likelihoods of pairs, or of triples with the pair ``base``."""
 
     def __init__(self, compared: MeansProblem, base: Members = ()) -> None:
         predicted, change, amount = compared.predicted, compared.changes, compared.amounts
@@ -1416,11 +1250,7 @@ class Screen:
         self._own = self._w @ self._w.swapaxes(1, 2)
 
     def pairs(self, first: NDArray[np.intp], second: NDArray[np.intp]) -> Array:
-        """Return the log likelihoods of pairs of hypotheses, (n_first, n_second).
-
-        ``first`` and ``second`` are the numbers of the hypotheses, each an effect with one set of
-        parameter values.
-        """
+        """Return the log likelihoods of pairs of hypotheses by their numbers, (n_first, n_second)."""
         a, b, r = len(first), len(second), self._w.shape[1]
         left = self._z - self._v[first]
         v, w1, w2 = self._v[second], self._w[first], self._w[second]
@@ -1445,12 +1275,7 @@ class Screen:
 
 
 def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool) -> Array:
-    """Return the log likelihoods of combinations of effects, (n_sets, 2).
-
-    Each item of ``sets`` has the numbers of hypotheses (effects with parameter values) that are in the
-    model together. The second column is with an error that all coefficients have in common; -inf if
-    ``off`` is False.
-    """
+    """Return the log likelihoods of sets, (n_sets, 2): as stated, and with an error in common."""
     begins, possible = range(0, len(sets), _SETS_AT_ONCE), list[NDArray[np.bool_]]()
 
     def parts() -> Iterator[Moments]:
@@ -1466,12 +1291,7 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Members], *, off: bool)
 
 
 def moments(compared: MeansProblem, sets: Sequence[Members]) -> tuple[Moments, NDArray[np.bool_]]:
-    """Return mean and covariance of the compared values with combinations of effects in the model.
-
-    Each item of ``sets`` has the numbers of hypotheses (effects with parameter values) that are in the
-    model together. The second result, (n_sets,) of bool, is False for a combination that gives no
-    finite values.
-    """
+    """Return `Moments` with sets of effects in the model, and which sets give finite values."""
     most = max(map(len, sets))
     members = [np.array([rows[k] if k < len(rows) else 0 for rows in sets]) for k in range(most)]
     if most < 2:
@@ -1522,11 +1342,9 @@ def _unknown_beside(compared: MeansProblem, rows: NDArray[np.intp]) -> Array:
 def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float]]) -> Array:
     """Return the mean of alpha, (n_materials, n_bands), over the probable combinations of effects.
 
-    ``likely`` are combinations of effects with their probabilities after the measurement, the weights
-    of the mean (Hoeting et al. 1999). Under each, the compared values y and alpha are jointly normal:
-    E[alpha | y] = mu + Sigma G' C⁻¹ (y - mean), with the prior mean mu and covariance Sigma of alpha, G
-    = d y / d alpha, and the covariance C of y. T changes alpha only as far as no effect and no error of
-    the equation explains T.
+    Under each, the compared values y and alpha are jointly normal (Hoeting et al. 1999): E[alpha |
+    y] = mu + Sigma G' C⁻¹ (y - mean), with G = d y / d alpha. T changes alpha only as far as no
+    effect and no error of the equation explains T.
     """
     sets = [rows for rows, _ in likely]
     of, possible = moments(compared, sets)
@@ -1566,26 +1384,15 @@ other."""
 
 @dataclass(frozen=True, eq=False)
 class SetPosterior:
-    """Hold the probabilities of combinations of effects after the measurement.
+    """Hold the probabilities of combinations of effects after the measurement."""
 
-    ``sets`` maps each combination, a tuple of names, to its probability, the most probable first; ()
-    means that nothing is missing. ``off`` has for each combination the probability that all
-    coefficients have an error in common. ``rows`` has for each the numbers of its most probable
-    hypotheses (effects with parameter values). ``likely`` are the most probable combinations of
-    hypotheses with their probabilities.
-    """
-
-    sets: Mapping[Names, float]
-    off: Mapping[Names, float]
-    rows: Mapping[Names, Members]
-    likely: Sequence[tuple[Members, float]]
+    sets: Mapping[Names, float]  # the most probable first; () is that nothing is missing
+    off: Mapping[Names, float]  # probability of an error in common, given the set
+    rows: Mapping[Names, Members]  # the most probable hypotheses of each set
+    likely: Sequence[tuple[Members, float]]  # the most probable of all, with probabilities
 
     def best(self, effects: Mapping[str, Effect], families: Names = ()) -> Names:
-        """Return the most probable combination that has no unknown effect.
-
-        If ``families`` are given, it is the most probable one of these groups of effects. ``effects``
-        are the effects by name.
-        """
+        """Return the most probable combination without "unknown", of ``families`` if given."""
         return next(
             s
             for s in self.sets
@@ -1593,21 +1400,14 @@ class SetPosterior:
         )
 
     def effects(self) -> dict[str, float]:
-        """Return the probability that each effect is missing, the most probable first.
-
-        "coefficients" has the probability of an error that all coefficients have in common, and "none"
-        that of neither a missing effect nor such an error.
-        """
+        """Return the probability of each effect, of "none", and of an error in common, falling."""
         out = summed((name, p) for names, p in self.sets.items() for name in names)
         out[COEFFICIENTS] = sum(p * self.off[names] for names, p in self.sets.items())
         out[NONE] = self.sets[()] * (1 - self.off[()])
         return most_probable_first(out)
 
     def families(self, effects: Mapping[str, Effect]) -> dict[str, float]:
-        """Return the probability that an effect of each group is missing, the most probable first.
-
-        ``effects`` are the effects by name.
-        """
+        """Return the probability that an effect of each group is missing, falling."""
         every, parts = self.effects(), list[tuple[str, float]]()
         for names, p in self.sets.items():
             narrow = {family_of(name, effects) for name in names}
@@ -1616,10 +1416,7 @@ class SetPosterior:
         return most_probable_first(out | summed(parts))
 
     def stand_ins(self, best: Names) -> dict[str, tuple[str, ...]]:
-        """Return, for each effect of the combination ``best``, the effects that could take its place.
-
-        With such an effect in its place, the combination is at least a tenth as probable.
-        """
+        """Return the effects that may replace each one of ``best`` at a tenth of its probability."""
         out = {}
         for name in best:
             others = set(best) - {name}
@@ -1633,11 +1430,7 @@ class SetPosterior:
 
 
 def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]) -> SetPosterior:
-    """Return the probabilities of combinations of at most one effect, from those of single effects.
-
-    ``probabilities`` are those of effects, "none", "coefficients" and "unknown", by name. "none" and
-    "coefficients" together are the empty combination. ``evidence`` has the likelihoods.
-    """
+    """Return the probabilities of combinations of at most one effect, from those of single effects."""
     nothing = probabilities[NONE] + probabilities[COEFFICIENTS]
     sets: dict[Names, float] = {(): nothing}
     off = {(): probabilities[COEFFICIENTS] / nothing if nothing else 0.0, (UNKNOWN,): 0.0}
@@ -1668,12 +1461,10 @@ def posterior_of_sets(
     expected: float = EXPECTED,
     most: int = MOST,
 ) -> SetPosterior:
-    """Return the probabilities of all combinations of up to ``most`` effects, after the measurement.
+    """Return the probabilities of all combinations of up to ``most`` effects.
 
-    ``compared`` is the problem that `compare` returns, and ``prior`` has the probabilities of single
-    effects. ``expected`` is the mean of the Poisson distribution of the number of missing effects
-    before the measurement. Combinations of three are tried only if the best two effects leave residuals
-    with a p-value below 0.05.
+    ``expected`` is the mean of the Poisson distribution of their number. Three are tried only if
+    the best two leave residuals with a p-value below 0.05.
     """
     tables = _Tables(compared, prior)
     if most > 1:

@@ -169,10 +169,7 @@ _TIMES = LinearObservations("ln T")
 
 
 def plain(case: Case) -> Recalibrated:
-    """Return a calibration to T20 of the first configuration, with a model that has no effects.
-
-    The calibrated model has this T20, or the nearest possible one where no alpha gives it.
-    """
+    """Return a calibration to T20 of the first configuration, or nearly, without effects."""
     case.require_fresh()
     case, equation = replace(case, applied=()), mean_equation(case.equation)
     if not isinstance(equation, LinearEquation):
@@ -263,15 +260,14 @@ def _room(case: Case, further: Mapping[str, str], alpha: Array, sigma: Array) ->
 class LogTimes:
     """Hold ln T of a case's configurations, to which its coefficients are calibrated.
 
-    ``fitted`` are the numbers of the configurations that are used. ``measured`` (n_fitted, n_bands) is
-    ln T minus the model's bias, NaN where T is missing, and ``u`` its standard uncertainty. The unknown
-    coefficients are those of the room, followed by those of materials that configurations change.
+    The unknown coefficients are those of the room, then those of materials that configurations
+    change.
     """
 
     case: Case
-    fitted: Sequence[int]
-    measured: Array
-    u: Array
+    fitted: Sequence[int]  # numbers of the configurations that are used
+    measured: Array  # ln T less the model's bias, (n_fitted, n_bands); NaN where T is missing
+    u: Array  # its standard uncertainty
 
     @classmethod
     def of(

@@ -119,42 +119,7 @@ def find(
     progress: TaskProgress | None = None,
     scheduler: str | None = None,
 ) -> Finding:
-    """Find the effects that are missing from the model of a case, by means over positions.
-
-    Parameters
-    ----------
-    case : Case
-        Room with its measured configurations.
-    most : int
-        Largest number of effects that may be missing at once, from 1 to 3.
-    prior : mapping of str to float, optional
-        How probable an effect is before the measurement, relative to a usual effect: with ``{"opening":
-        2.0}`` an opening is twice as probable. "none" and "coefficients" have the odds (probability
-        over 1 - probability) that nothing is missing, and that all coefficients have an error in
-        common. Names that are left out keep their own values. If ``most`` is above 1, the number of
-        missing effects has a Poisson distribution with the mean 0.7, or with the mean that follows from
-        "none".
-    effects, without, only, controls, cache, progress, scheduler
-        As `rtcal.find` takes them; ``without`` may also contain "coefficients" and "unknown".
-
-    Returns
-    -------
-    Finding
-        Verdict, probability and size of each effect, and cautions.
-
-    Raises
-    ------
-    DataError
-        If ``controls`` are of one simulator only or of another case; if the room has already been
-        calibrated to a measured T of the case; if an effect breaks a rule; if ``most`` is not from 1 to
-        3.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> case, truth = rt.datasets.hidden_room()
-    >>> print(rt.find(case, most=3))  # doctest: +SKIP
-    """
+    """Find the effects that are missing, by means over positions, as `rtcal.find` says."""
     checks.instance("case", case, Case).require_fresh()
     every = checked_effects(effects)
     special = [COEFFICIENTS, UNKNOWN]
@@ -308,10 +273,7 @@ def _of_single(
 
 
 def _of_sets(found: Finding, evidence: MeansEvidence, posterior: SetPosterior) -> Finding:
-    """Return what is identified of sets of effects, where something is missing.
-
-    A doubt that speaks against the effect leaves nothing of it, any other its family.
-    """
+    """Return what is identified of sets of effects; a doubt against an effect leaves nothing of it."""
     probabilities, effects = found.probabilities, found.effects
     if probabilities.get(UNKNOWN, 0.0) >= CLAIMED:
         only = _candidates(found, (UNKNOWN,), {})
@@ -371,11 +333,9 @@ def _candidates(
 
 
 def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Candidate:
-    """Return the most probable parameters and the size of an effect; its probability is set to 0.
+    """Return the parameters and size of an effect, or of the error in common; its probability is 0.
 
-    ``evidence`` has the likelihoods of all effects and parameters that were tried, and ``name`` is the
-    effect, or "coefficients" for an error that all coefficients have in common. If ``precise`` is True,
-    the parameters are refined between the values that were tried.
+    If ``precise``, the parameters are refined between the values that were tried.
     """
     problem, case = evidence.problem, evidence.problem.case
     found = Candidate(
@@ -423,11 +383,9 @@ there."""
 def _estimate_size(
     evidence: MeansEvidence, name: str, *, precise: bool = True
 ) -> tuple[Parameters, Size | None]:
-    """Return the most probable parameters of the effect ``name``, and its size with a 90 % interval.
+    """Return the most probable parameters of an effect, and its size; None if it has none.
 
-    If ``precise`` is False, the parameters are the best of those that were tried, and the size is
-    evaluated in wide steps. If it is True, a search improves them, and the size is evaluated in fine
-    steps. The size is None for an effect that has none.
+    If ``precise``, a search improves the parameters, and the size is evaluated in fine steps.
     """
     problem = evidence.problem
     predicted, base = problem.predicted, state(problem.case, problem.case.configurations[0])
@@ -508,10 +466,7 @@ def _searched(
     discrete: Sequence[str],
     evaluated: Callable[[Sequence[Parameters]], Array],
 ) -> Parameters:
-    """Improve the grid's best parameters within the grid's range; discrete ones stay.
-
-    Each round evaluates a lattice around the best, one step of the last lattice wide.
-    """
+    """Improve the grid's best parameters within its range by ever finer lattices."""
     names = [k for k in start if k not in discrete and len({theta[k] for theta in grid}) > 1]
     if not names:
         return start
@@ -537,12 +492,7 @@ def _searched(
 
 
 def _doubts(evidence: MeansEvidence, best: Candidate) -> tuple[Reason, ...]:
-    """Return the reasons not to identify the most probable effect, empty if there are none.
-
-    For example, its size has no limit, or the deviation of C80 grows. `rtcal.finder.claim.LEAVES` has
-    the verdict that remains with each reason. ``evidence`` has the likelihoods of all effects, and
-    ``best`` is the fitted effect.
-    """
+    """Return the reasons not to identify the fitted effect ``best``; `LEAVES` has what remains."""
     problem, name = evidence.problem, best.effect
     alone, row = _with_candidate(problem, best)
     gap = gap_check(alone, best)
@@ -580,11 +530,7 @@ SURPRISING = 1e-3
 
 
 def gap_against(name: str, gap: GapCheck) -> Reason | None:
-    """Return the reason to doubt an effect with which the model deviates more than without it, or None.
-
-    ``name`` is the effect, and ``gap`` has the deviations of the parameters that coefficients cannot
-    fit (`GapCheck`). The reason is that these deviations grow, or that they contradict the effect.
-    """
+    """Return why an effect is doubted by deviations that grow or contradict it, or None."""
     ends = {"effect": name, "before": gap.before, "after": gap.after}
     if gap.growth >= CLAIMED:
         return Reason("gap grows", ends)
@@ -623,13 +569,11 @@ def _decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | Non
 
 
 def _gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> Reason | None:
-    """Return a doubt if the measured T is about twice or half the model's T; None otherwise.
+    """Return a doubt if the measured T is about twice or half the model's T, or None.
 
-    Most mistakes of this size are wrong input (units of T, volume, areas or coefficients), which
-    changes T by the same factor in all bands. If the effect ``name`` explains the data much better than
-    such a factor, its group stays identified. There is no doubt if it explains the data much better
-    than wrong units of T, and C80 and the other parameters that coefficients cannot fit (``gap``) also
-    show it.
+    Most mistakes of this size are wrong input, which changes T by one factor in all bands. The
+    group stays identified if the effect explains the data much better than that. There is no doubt
+    if it explains them better than wrong units of T and the ``gap`` shows it, too.
     """
     problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]
@@ -657,26 +601,16 @@ _DRAWS = 64
 
 @dataclass(frozen=True)
 class GapCheck:
-    """Hold the deviations that no coefficients can remove, with and without an effect in the model.
+    """Hold the deviations that no coefficients can remove, with and without an effect in the model."""
 
-    Calibrated coefficients fit T20 of the first configuration. What then remains in C80, G, EDT and in
-    other configurations are these deviations. ``before`` (without the effect) and ``after`` (with it)
-    are their mean absolute values in JND, NaN if no such parameter was measured. ``uncertainty`` is the
-    standard deviation of ``after`` minus ``before``, from errors of measurement and model.
-    ``predictive`` is the ln Bayes factor for the effect by these parameters alone, given T20.
-    """
-
-    before: float
+    before: float  # mean absolute deviation in JND without the effect; NaN if only T20 was measured
     after: float
-    uncertainty: float
-    predictive: float
+    uncertainty: float  # standard deviation of after - before
+    predictive: float  # ln Bayes factor for the effect by these values alone, given T20
 
     @property
     def growth(self) -> float:
-        """Probability that the effect increases the mean deviation by more than 0.1 JND.
-
-        It is 0 if no parameter but T20 was measured.
-        """
+        """Probability that the mean deviation grows by more than 0.1 JND."""
         grown = self.after - self.before - LITTLE
         if not self.uncertainty > 0:
             return float(grown > 0)
@@ -688,12 +622,9 @@ def gap_check(
     candidate: Candidate,
     held: NDArray[np.bool_] | None = None,
 ) -> GapCheck:
-    """Return the deviations that no coefficients can remove, without and with an effect in the model.
+    """Return the deviations that no coefficients can remove, without and with a candidate.
 
-    ``problem`` has the measurement and the model's predictions, among them those with the effect of the
-    ``candidate``. ``held`` is a mask of the compared values (ln T20, C80 and others, of each
-    configuration and band) of which the deviations are calculated; None means all but T20 of the first
-    configuration.
+    ``held`` (n_used,) are the values that count, by default all but T20 of the first configuration.
     """
     problem, last = _with_candidate(problem, candidate)
     c, f, _ = problem.places
@@ -743,10 +674,7 @@ _OFF_LEVEL = 3.0
 
 
 def _off_levels(problem: MeansProblem) -> list[Reason]:
-    """Return notes of levels that are off alike in all bands, beside what T gives of the stated room.
-
-    They are off from the stated room itself, too: noise in the decay lengthens T and leaves the level.
-    """
+    """Return notes on levels that are off alike in all bands, from what T gives and from the input."""
     level, name = FEATURES.index(LEVELS[-1]), parameter_label(LEVELS[-1])
     off = problem.observed.features - problem.predicted.features[0]
     beside = off[:, level] - problem.predicted.slopes[0, :, level] * off[:, 0]

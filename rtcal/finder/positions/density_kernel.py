@@ -50,10 +50,7 @@ def eliminate(
     explained: Array,
     half: Array,
 ) -> None:
-    """Write what `of_own_errors` returns, which makes the arrays that are overwritten.
-
-    The rows of M, each with x as further columns, become those of the upper factor with L⁻¹ x.
-    """
+    """Write what `of_own_errors` returns; the rows of M become those of the upper factor."""
     n, n_bands = change.shape
     n_columns, n_pairs, _ = products.shape
     size, m, lanes = n_bands + n_columns, across.shape[2], rows.shape[2]

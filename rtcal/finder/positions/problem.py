@@ -125,20 +125,15 @@ ODDS = {
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Sizes:
-    """Hold an effect in one place, with each of its possible ``sizes`` (n_sizes,) in ``unit``.
-
-    ``family`` is the effect's group. ``place`` is the name of a source, receiver, pair or material, if
-    the effect is an error of one. ``surface`` is the number of a surface; None for the whole room and
-    for errors of the measurement. ``odds`` (n_sizes,) are the prior odds of the sizes.
-    """
+    """Hold an effect in one place, with each of its possible ``sizes`` (n_sizes,) in ``unit``."""
 
     effect: str
     family: str
-    place: str = ""
-    surface: int | None = None
+    place: str = ""  # name of a source, receiver, pair or material
+    surface: int | None = None  # its number
     sizes: Array
     unit: str
-    odds: Array
+    odds: Array  # before the measurement, (n_sizes,)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -174,28 +169,24 @@ class ShiftHypothesis(Sizes):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpreadHypothesis(Sizes):
-    """Describe an error of the measurement that makes some measured values less certain than assumed.
+    """Describe an error of the measurement that makes some measured values less certain.
 
-    ``rows`` are the numbers of these values, in the order of band, parameter and pair. ``columns``
-    (n_rows, n_errors) are their additional errors, one standard deviation each, and ``scales``
-    (n_sizes,) the factors on these errors for each of ``sizes``. The covariance of the values grows by
-    ``scales**2 columns columns'``.
+    The covariance of the values in ``rows`` grows by ``scales**2 columns columns'``.
     """
 
     family: str = MEASUREMENT
-    rows: NDArray[np.int64]
-    columns: Array
-    scales: Array
+    rows: NDArray[np.int64]  # in the order of band, parameter and pair
+    columns: Array  # additional errors, one standard deviation each, (n_rows, n_errors)
+    scales: Array  # factors on them, (n_sizes,)
 
 
 @dataclass(frozen=True, eq=False)
 class PositionsHypotheses:
-    """Hold all hypotheses of a search at positions as the rows of one table, with their probabilities.
+    """Hold all hypotheses of a search at positions as the rows of one table.
 
-    The first three rows are "none", an error that all coefficients have in common, whose prior
-    probability is ``off``, and an unknown effect. Then follow the sizes of each of ``spreads`` (errors
-    of the measurement) and of each of ``shifts`` (effects). If ``unknown`` is True, the effects follow
-    once more, each in combination with an unknown effect.
+    These are "none", an error of all coefficients, an unknown effect; the sizes of each of
+    ``spreads`` and ``shifts``; and, if ``unknown``, the effects once more, each beside an unknown
+    one.
     """
 
     shifts: Sequence[ShiftHypothesis]
@@ -237,12 +228,7 @@ class PositionsHypotheses:
 
 
 def towards(moved: Array, stated: Array) -> Array:
-    """Return the interpolation weights for changes of alpha between the changes that were simulated.
-
-    ``moved`` (..., n_bands) are the changes of alpha, and ``stated`` is the input alpha. The simulated
-    changes are the n_nodes `SHARES` of the way to alpha = 1 or, below 0, to a hard wall. Weights: (...,
-    n_bands, n_nodes).
-    """
+    """Return weights (..., n_bands, n_nodes) of `SHARES` for changes of alpha (..., n_bands)."""
     up = moved / np.maximum(1 - stated, 1e-6)
     down = moved / np.maximum(stated - HARD, 1e-6)
     return interpolation(SHARES, np.where(moved >= 0, up, np.maximum(down, -1.0)))
@@ -258,11 +244,7 @@ OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
 
 
 def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
-    """Return the weights that give the mean change of absorption in a band from its changed values.
-
-    The shape is (n_parameters * n_pairs,), one weight for each of ``parameters`` at each pair. A weight
-    is negative if the parameter falls as the absorption grows.
-    """
+    """Return the weights (n_parameters * n_pairs,) of a mean change of absorption in a band."""
     rises = [1.0 if observable(name).rises else -1.0 for name in parameters]
     return np.repeat(rises, n_pairs) / (len(parameters) * n_pairs)
 
@@ -336,11 +318,7 @@ def stated_room(case: PositionsCase) -> RoomState:
 
 
 def _whole_room(case: PositionsCase, effect: Any) -> ShiftHypothesis:
-    """Return the hypotheses of an effect on the whole room: another climate, or another volume.
-
-    ``effect`` is `OmittedAir` or `WrongVolume`. Another volume means that all lengths of the geometry
-    are scaled. Gross mistakes of the volume are not tried, because the geometry was drawn.
-    """
+    """Return the hypotheses of another climate, or of a volume that scales all lengths."""
     room, stated, f = case.room, stated_room(case), case.room.centre_frequencies
     nodes: Sequence[float]
     if effect.name == OmittedAir.name:
@@ -470,12 +448,7 @@ def _standing(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
 
 
 def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[ShiftHypothesis]:
-    """Return the hypotheses of effects on whole surfaces, and in addition on parts of these surfaces.
-
-    ``shifts`` are the hypotheses on whole surfaces. The share `LOCATED` of their prior odds goes to the
-    parts that are large enough, so that the odds of a surface do not depend on the number of its parts.
-    An effect that covers an input absorber, and an aperture, have no parts.
-    """
+    """Return hypotheses on surfaces and on their parts, which have the share `LOCATED` of the odds."""
     out = []
     for shift in shifts:
         parts = {p: t for p, t in enumerate(case.divided.parts) if t.surface == shift.surface}
@@ -509,12 +482,7 @@ def spreads(
     moved: Mapping[str, Array],
     errors: Array,
 ) -> list[SpreadHypothesis]:
-    """Return the hypotheses of errors of the measurement: displaced positions, and noisy pairs.
-
-    ``measured`` are the measured pairs. ``moved`` has, by the name of a source or receiver, the changes
-    of the values if it is displaced. ``errors`` (n_bands, n_parameters, n_pairs, n_bands, n_parameters,
-    n_pairs) is the covariance of the errors of simulator and measurement.
-    """
+    """Return the hypotheses of errors of the measurement: displaced positions, and noisy pairs."""
     shape = errors.shape[:3]
     number = np.arange(math.prod(shape)).reshape(shape)
     full = errors.reshape(number.size, number.size)
@@ -553,11 +521,7 @@ def spreads(
 
 
 class ScatteringLevels(NamedTuple):
-    """Hold the changes of all values if the room scatters more or less than assumed.
-
-    ``shifts`` (n, n_levels) are the changes of n values, in the order of band, parameter and pair.
-    ``log_weights`` (n_levels,) are the log prior probabilities of the levels of scattering.
-    """
+    """Hold the changes (n, n_levels) of n values by other scattering, and log weights (n_levels,)."""
 
     shifts: Array
     log_weights: Array
@@ -641,11 +605,7 @@ class Likelihood:
         return np.moveaxis(every, -1, 0)
 
     def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
-        """Return `shifted` of one.
-
-        The errors' columns are d in one band with the factor of `ShiftHypothesis.error`, and W in a
-        band by its change, W being `uneven`.
-        """
+        """Return `shifted` of one: an error per band by its `error`, and W by its change."""
         from rtcal.finder.positions.density_kernel import of_own_errors
 
         (pull, of_stated), (columns, products) = residuals, self._of_response(shift.response)
@@ -703,10 +663,7 @@ class Likelihood:
         return self._products[response]
 
     def _log(self, square: Array, half: Array | float) -> Array:
-        """Return the log density from chi-squares by level and ln sqrt|C|: the mean over the levels.
-
-        (..., n_levels) to (...).
-        """
+        """Return the mean log density over the levels, (..., n_levels) to (...)."""
         by_level = bounded(square, half, self.number) + self.levels.log_weights
         return np.asarray(np.logaddexp.reduce(by_level, axis=-1))
 
@@ -798,11 +755,7 @@ _LEVELS = np.linspace(-2.4, 2.4, 9)
 
 
 def levels(traced: Array) -> ScatteringLevels:
-    """Return how all values change if the whole room scatters more or less, as a mean over the pairs.
-
-    ``traced`` (n_bands, n_parameters, n_pairs, n_traced) has the changes that were simulated
-    (`TRACED`).
-    """
+    """Return the changes if the room scatters otherwise, by traced ones, alike at all pairs."""
     from scipy.interpolate import CubicSpline
 
     alike = np.broadcast_to(traced.mean(axis=2, keepdims=True), traced.shape)
@@ -814,11 +767,7 @@ def levels(traced: Array) -> ScatteringLevels:
 
 
 def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array) -> Array:
-    """Return the covariance of n values by unknown directivities of the sources, (n, n).
-
-    The values are ordered by band, parameter and pair. ``nodes`` (n_bands, n_values, n_aims) are their
-    changes with each possible directivity (`lobes`). ``frequencies`` (n_bands,) are in Hz.
-    """
+    """Return the covariance of n values by unknown directivities of the sources, (n, n)."""
     n_bands, n_values, _ = nodes.shape
     of_source = np.array([source for source, _ in pairs] * (n_values // len(pairs)))
     same = of_source[:, np.newaxis] == of_source
@@ -955,11 +904,10 @@ class PositionsProblem:
         self.measurement = reordered(measurement, stated.shape) * scales
 
     def likelihoods(self, sources: Array | float = 0.0) -> Likelihoods:
-        """Return the likelihood with the input coefficients, and those with larger errors.
+        """Return the likelihood as stated, with errors in common, and with unexplained ones.
 
-        The second result is a list for increasing errors that all coefficients have in common, the
-        third for increasing errors that no effect explains. ``sources`` is a covariance by errors of
-        the sources that is added, `aimed` or one of `gains`; 0 for none.
+        ``sources`` is a covariance by errors of the sources that is added, `aimed` or one of
+        `gains`.
         """
         error = self.simulator_error
         base = self.alpha @ self.alpha.T + self.measurement + error + sources

@@ -155,11 +155,9 @@ def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual
 def scores(
     posterior: Array, hypotheses: PositionsHypotheses, own: Sequence[str] = ()
 ) -> tuple[float, float]:
-    """Return the ln Bayes factors that something differs from the model, and that a pair is noisy.
+    """Return ln Bayes factors that something differs, and that a pair is noisy, from log weights.
 
-    ``posterior`` are the log weights of the ``hypotheses`` after the measurement. The first factor is
-    against "nothing differs, or a pair is noisy, or an effect of the groups ``own``", the second
-    against "nothing differs".
+    The first one counts a noisy pair, and effects of the groups ``own``, as nothing.
     """
     noisy = np.array(hypotheses.by_row("effect")) == NOISE
     nothing_else = np.isin(hypotheses.by_row("family"), [NONE, *own])
@@ -174,19 +172,12 @@ def scores(
 
 
 def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TEMPER) -> Array:
-    """Return log posterior weights, the weight of "none" being its prior, (n,).
-
-    Log evidences are divided by ``temper``.
-    """
+    """Return log posterior weights of tempered evidences, (n,); that of "none" is its prior."""
     return np.asarray(hypotheses.log_prior + (evidence - evidence[0]) / temper)
 
 
 def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> float:
-    """Return the ln Bayes factor of one likelihood over another, summed over all hypotheses.
-
-    ``other`` (n,) are the log evidences of the hypotheses by the first likelihood, and ``evidence``
-    (n,) those by the second.
-    """
+    """Return the ln Bayes factor of one likelihood over another, summed over all hypotheses."""
     more, less = (logsumexp(weights(each, hypotheses)) for each in (other, evidence))
     return float(more - less + (other[0] - evidence[0]) / TEMPER)
 
@@ -194,12 +185,7 @@ def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> floa
 def with_families(
     posterior: Array, hypotheses: PositionsHypotheses, families: Mapping[str, float]
 ) -> Array:
-    """Return the log weights of hypotheses at positions, combined with the result from means.
-
-    ``posterior`` are the log weights at positions, and ``families`` the probabilities of groups of
-    effects from means over positions, by name. A weight is multiplied by the probability of the
-    hypothesis' group to the power `MEANS_POWER` (logarithmic pool, Genest & Zidek 1986).
-    """
+    """Return log weights times the families' by means to `MEANS_POWER` (Genest & Zidek 1986)."""
     least = [
         max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.by_row("family")
     ]
@@ -223,11 +209,7 @@ def evidence_of_means(
     cache: str | os.PathLike[str] | None = None,
     scheduler: str | None = None,
 ) -> Finding | None:
-    """Return the finding from means over the positions of a case, or None.
-
-    None means that means cannot be compared, because no T was measured with a sufficiently small
-    uncertainty. For ``effects``, ``cache`` and ``scheduler`` see `rtcal.find`.
-    """
+    """Return the finding from means over the positions of a case; None without a T to trust."""
     try:
         return find_by_means(of_means(case), effects, cache=cache, scheduler=scheduler)
     except DataError:
@@ -256,20 +238,14 @@ _SPACING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """Hold the probabilities of what may differ from the model, by effect, group and surface.
-
-    ``candidates`` are effects in one place, the most probable first. ``probabilities``, ``families``
-    and ``surfaces`` are those of effects, groups of effects and surfaces, by name. ``on_surfaces`` is
-    the probability that something on a surface is missing, and ``unexplained`` that of an unknown
-    effect, alone or in combination with another effect.
-    """
+    """Hold the probabilities of what may differ from the model, by effect, group and surface."""
 
     candidates: tuple[Candidate, ...]
     probabilities: dict[str, float]
     families: dict[str, float]
     surfaces: dict[str, float]
-    on_surfaces: float
-    unexplained: float
+    on_surfaces: float  # that something on a surface is missing
+    unexplained: float  # that an unknown effect is there, alone or beside another
 
 
 def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Array) -> Summary:
@@ -388,10 +364,7 @@ def find(
     progress: TaskProgress | None = None,
     scheduler: str | None = None,
 ) -> Finding:
-    """Find whether a room differs from its model, by which effect, and where.
-
-    The parameters are those of `rtcal.find`. ``only`` and ``without`` are names that `tried` returns.
-    """
+    """Find whether a room differs from its model, by which effect, and where (`rtcal.find`)."""
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)
     left_out = left_out_of(only, without, tried(every))
@@ -625,11 +598,10 @@ def _groups(
     summary: Summary,
     likelihood: Likelihood,
 ) -> tuple[tuple[str, ...], ...]:
-    """Return the surfaces that the most probable effect, in its size, does not tell apart.
+    """Return the surfaces that the most probable effect, in its size, does not distinguish.
 
-    Two surfaces are told apart where the shift of one, on the best size of the other, leaves more than
-    `DISTINCT_NATS` to be expected, as far as the place on the most probable surface is known. Those
-    that the data leave less probable than the first by more than that were told apart, too.
+    Two are distinguished where the shift of one, on the best size of the other, leaves more than
+    `DISTINCT_NATS` to be expected; and those that are less probable by as much.
     """
     best = next((c for c in summary.candidates if c.surface is not None), None)
     if best is None:

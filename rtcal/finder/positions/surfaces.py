@@ -42,10 +42,8 @@ def of_geometry(
 ) -> dict[str, Faces]:
     """Return the numbers of the faces of each surface of a geometry, by the surface's name.
 
-    By default a surface consists of the faces of one material in one plane, and has the name of its
-    largest face. If ``stated`` is given, it has the names of the faces of each surface; all other faces
-    then belong to no surface. Raises DataError for an unknown face, a face in two surfaces, and a
-    surface without faces.
+    Without ``stated`` names of faces, a surface has the faces of one material in one plane. Raises
+    DataError for an unknown face, a face in two surfaces, and a surface without faces.
     """
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
@@ -70,10 +68,7 @@ def of_geometry(
 
 
 def merged(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> str:
-    """Return a note on the surfaces that consist of faces with different names; "" without any.
-
-    ``surfaces`` has the numbers of each surface's faces. "wall 1" and "wall 2" count as equal.
-    """
+    """Return a note on the surfaces that consist of faces with different names; "" without any."""
     said = []
     for name, faces in surfaces.items():
         every = [geometry.names[i] for i in faces]
@@ -244,12 +239,9 @@ def patched(
     name: str,
     at: Array | None = None,
 ) -> Polyhedron | None:
-    """Return the geometry with a patch on one of its surfaces; None if the surface is too small.
+    """Return the geometry with a patch of ``area`` m² on one surface; None if that is too small.
 
-    The patch has the ``area`` in m², the ``material`` and the ``name``. It is a rectangle with the
-    proportions of the surface, cut off at the surface's edge. ``faces`` are the numbers of the
-    surface's faces, and ``at`` (3,) is the middle of the patch in m; None means the middle of the
-    largest face's plane. Raises DataError if the surface is farther than `NEAR` from ``at``.
+    It is a rectangle with the surface's proportions about ``at`` (3,), cut off at the edge.
     """
     from scipy.optimize import brentq
 

@@ -91,10 +91,7 @@ _FOLLOWED = 0.9
 
 @dataclass(frozen=True)
 class Aperture:
-    """Describe an aperture of ``area`` in m² to a second room.
-
-    The second room is a cube of ``volume`` in m³ with the mean absorption coefficient ``alpha``.
-    """
+    """Describe an aperture of ``area`` m² to a cube of ``volume`` m³ with the mean alpha ``alpha``."""
 
     area: float
     volume: float
@@ -114,12 +111,10 @@ class Aperture:
         n_sources: int,
         rate: Array | None = None,
     ) -> Array:
-        """Return the decays in the first room with the second room, from decays with an open aperture.
+        """Return decays with the second room from those of an open aperture.
 
-        ``energy`` (n_pairs, n_bands, n_bins) are the decays from which no sound returns through the
-        aperture, for all receivers of the first source, then of the next. ``room`` is the first room,
-        and ``bin_width`` is in s. ``rate`` (n_bands,) is the `decay_rate` of ``energy`` in 1/s; None if
-        it must be computed. The result has more bins if the second room decays more slowly.
+        Both are (n_pairs, n_bands, n_bins), for all receivers of the first source, then of the
+        next; the result has more bins if the second room decays more slowly.
         """
         first = decay_rate(energy, bin_width) if rate is None else rate
         second = self.second_rate(room)
@@ -159,10 +154,7 @@ def _decaying(values: Array, factor: Array) -> Array:
 
 
 def decay_rate(energy: Array, bin_width: float) -> Array:
-    """Return the rates of the mean decays over pairs in 1/s, (..., n_bands).
-
-    Of decays (..., n_pairs, n_bands, n_bins).
-    """
+    """Return the rates in 1/s of mean decays (..., n_pairs, n_bands, n_bins) over the pairs."""
     return np.asarray(_NEPERS / TARGET.value(energy.mean(axis=-3), bin_width))
 
 
@@ -176,9 +168,7 @@ _TOGETHER = 8_000_000
 class Weighing:
     """Compute decays for other coefficients of each face, without tracing new paths.
 
-    ``tracer`` is the simulator whose paths are re-weighted, and ``seed`` that of its random numbers.
-    The paths are followed for ``seconds``, and longer if a decay is too short to evaluate the
-    parameters ``match``. If ``seconds`` is 0, the time follows from the room's T.
+    Paths are followed for ``seconds`` (0: by the room's T), and longer if ``match`` needs it.
     """
 
     tracer: PathTracing
@@ -192,10 +182,7 @@ class Weighing:
         return np.asarray(np.minimum(self.tracer.room.alpha, LARGEST_ALPHA)[self.tracer.made_of])
 
     def parameters(self, energy: Array) -> Array:
-        """Return the parameters of decays, (n_parameters, ..., n_pairs, n_bands); see `Observations`.
-
-        Of decays (..., n_pairs, n_bands, n_bins).
-        """
+        """Return the parameters of decays (..., n_pairs, n_bands, n_bins), parameters first."""
         tracer = self.tracer
         named = tracer.pairs, tracer.centre_frequencies
         return values_of_decays(energy, tracer.bin_width, self.match, *named)
@@ -213,11 +200,10 @@ class Weighing:
         stretch: float = 1.0,
         number: int = 1,
     ) -> Array:
-        """Return the decays of each of several groups of paths, (number, n_pairs, n_bands, n_bins).
+        """Return the decays of groups of paths, (number, n_pairs, n_bands, n_bins).
 
-        ``number`` is the number of groups into which the paths are divided. ``alpha`` (n_faces,
-        n_bands) are the coefficients. ``attenuation`` (n_bands,) is that of the air in 1/m; None means
-        the room's. ``stretch`` is a factor on all lengths of the room.
+        ``alpha`` is that of the faces, ``attenuation`` (n_bands,) replaces the air's, and
+        ``stretch`` is a factor on all lengths.
         """
         room = self.tracer.room
         # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
@@ -230,10 +216,9 @@ class Weighing:
         return self._long_enough(weighed, 1.5 if self.seconds else 2.0) / stretch**2
 
     def of_groups(self, groups: Sequence[Faces], shares: Sequence[float]) -> Iterator[Array]:
-        """Yield the decays with changed alpha of a group of faces, for one group after the other.
+        """Yield decays (n_shares, n_pairs, n_bands, n_bins) with changed alpha of each group of faces.
 
-        The decays are (n_shares, n_pairs, n_bands, n_bins). ``groups`` are the numbers of the faces.
-        ``shares`` are the changes of alpha as shares of the way to 1 or, below 0, to a hard wall.
+        ``shares`` are of the way to alpha = 1 or, below 0, to a hard wall.
         """
         room, alpha = self.tracer.room, self.alpha
         ways = {True: 1 - alpha, False: np.maximum(alpha - HARD, 0.0)}
@@ -255,10 +240,7 @@ class Weighing:
     def _long_enough(
         self, weighed: Callable[[Paths, NDArray[np.int64]], Array], growth: float
     ) -> Array:
-        """Return the decays that a weighing of some bands' paths gives, of paths as long as needed.
-
-        (..., n_pairs, n_bands, n_bins), of those by source and receiver.
-        """
+        """Return the decays by source and receiver of paths that are followed long enough."""
         tracer, faces = self.tracer, np.arange(len(self.tracer.made_of))
 
         def by_face(paths: Paths, bands: NDArray[np.int64]) -> Array:
@@ -288,12 +270,7 @@ search ended in an error."""
 def displaced(
     case: PositionsCase, match: Sequence[str], base: Array, seed: int
 ) -> dict[str, Array]:
-    """Return how simulated values change if one source or receiver is displaced by `MOVE`, by its name.
-
-    Each array is (n_parameters, n_pairs, n_bands, n_displacements). ``base`` (n_parameters, n_pairs,
-    n_bands) are the values with the input positions, ``match`` the names of the parameters, and
-    ``seed`` that of the random numbers.
-    """
+    """Return how values change if a source or receiver is displaced by `MOVE`, by its name."""
     tracer, geometry = case.simulator, case.geometry
     steps = np.array([sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)])
     # Less where a wall is in the way.
@@ -349,11 +326,7 @@ OPEN = tuple(share for share in SHARES if share > 0)
 
 
 def interpolation(nodes: Sequence[float], at: Array) -> Array:
-    """Return the weights (..., n_nodes) of a linear interpolation between nodes, whose value at 0 is 0.
-
-    ``nodes`` (n_nodes,) are the places of the known values, and ``at`` (...) those of the wanted
-    values. Beyond the last node on either side, the wanted value is that of the node.
-    """
+    """Return weights (..., n_nodes) of a linear interpolation that is 0 at 0."""
     every = np.array(sorted([*nodes, 0.0]))
     alone = np.eye(len(every))[np.searchsorted(every, nodes)]
     return np.stack([np.interp(at, every, row) for row in alone], axis=-1)
@@ -467,10 +440,7 @@ def _of_tracing(
     seed: int,
     finished: Callable[[int], None],
 ) -> dict[str, Array]:
-    """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least.
-
-    ``finished`` is called with the number of surfaces and parts that are done.
-    """
+    """Return the shifts of one tracing; call ``finished`` with how many surfaces are done."""
     room = case.room
     tracer = replace(case.simulator.denser(BASE), geometry=case.divided.geometry)
     weighing = Weighing(tracer, match, seed, seconds)
@@ -536,12 +506,7 @@ def _mean(tracings: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
 
 
 def without_noise(shifts: Array) -> Array:
-    """Return the mean of changes over several tracings, with less noise in differences between pairs.
-
-    ``shifts`` (n_tracings, ..., n_parameters, n_pairs, n_bands, n_nodes) are the changes of simulated
-    values. The deviations of single pairs from the mean over pairs are reduced by their share of noise,
-    which is estimated from the differences between tracings.
-    """
+    """Return the mean of changes over tracings, with less noise in what pairs differ by."""
     mean = shifts.mean(axis=0)
     common = mean.mean(axis=-3, keepdims=True)
     off = shifts - mean
@@ -585,10 +550,9 @@ def _of_surfaces(
 
 
 def _at_shares(weighing: Weighing, decays: Array) -> Array:
-    """Return the parameters of decays at rising shares, (n_parameters, n_pairs, n_bands, n_shares).
+    """Return the parameters at rising shares, (n_parameters, n_pairs, n_bands, n_shares).
 
-    A surface that takes nearly all may leave a decay without EDT or T. Then the parameters are those
-    at the share before: more absorption is not told from it.
+    Without EDT or T, where a surface takes nearly all, they are those of the share before.
     """
     try:
         return np.moveaxis(weighing.parameters(decays), 1, -1)
@@ -610,10 +574,7 @@ def _at_shares(weighing: Weighing, decays: Array) -> Array:
 def _apertures(
     case: PositionsCase, weighing: Weighing, surface: int, decays: Array, base: Array
 ) -> Array:
-    """Return the shifts with an aperture on a surface, from its decays at `SHARES`.
-
-    (n_parameters, n_pairs, n_bands, n_second_rooms n_open).
-    """
+    """Return the shifts with an aperture, (n_parameters, n_pairs, n_bands, n_second_rooms n_open)."""
     out = np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
     if case.kinds[surface] == "floor":
         return out
@@ -693,12 +654,10 @@ def with_index(tracer: PathTracing) -> dict[str, Directivity]:
 
 
 def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
-    """Return possible sets of the sources' directivities, each by the source's name.
+    """Return possible directivities by source: unstated ones aim at the receivers, then along the axes.
 
-    In the first set, sources without an input directivity aim at the middle of the receivers, in the
-    others along an axis, with the directivity index `LOBE_INDEX`. A source with an input index above 0
-    aims as given, with an index that is larger by `INDEX_ERROR` in the first and by `OWN_INDEX_ERROR`
-    in the others. All other sources are as given.
+    Their index is `LOBE_INDEX`; a stated index above 0 is larger by `INDEX_ERROR`, then by
+    `OWN_INDEX_ERROR`.
     """
     middle = tracer.to_receivers.mean(axis=1)
     # A source in the middle of its receivers aims at none of them.
