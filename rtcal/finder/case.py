@@ -179,18 +179,8 @@ class ChangedMaterial:
 class Configuration:
     """Hold one measurement of a room, and what was changed in the room for this measurement.
 
-    ``name`` is its name in messages. ``measured`` are means over positions, and ``changes`` has the
-    materials with other coefficients than the room's, such as a wall behind a closed curtain.
-    ``suspect_removed`` is True if the object that may be missing from the model was taken out of the
-    room for this measurement. ``air`` is the climate, by default the room's. ``distances`` (n_pairs,)
-    are those from source to receiver in m, by default 0.66 times the cube root of the volume.
-
-    ``planned`` is True if nothing was measured yet and ``measured`` holds placeholders, as
-    `rtcal.finder.plan` uses them. ``simulated`` is a program's run of this configuration, which then
-    takes the place of the reverberation equation. ``left_out`` are sentences about values that were
-    left out; rtcal fills them in.
-
-    Raises DataError for a value of the wrong kind; the message names the place and the value.
+    ``name`` is its name in messages. Raises DataError for a value of the wrong kind; the message
+    names the place and the value.
     """
 
     name: str
@@ -452,16 +442,9 @@ def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) 
 class Case:
     """Describe a room, its reverberation equation and the configurations in which it was measured.
 
-    rtcal compares means over positions with this case. To compare every position see `PositionsCase`;
-    to compare measurements before and after a change of the room see `StatesCase`. Raises DataError if
-    a value breaks a rule; the message names the place, the value and the rule.
-
-    ``room`` is the room as you enter it, and ``configurations`` are its measurements, at least one.
-    ``equation`` is the key of the reverberation equation, by default "eyring". ``facing`` (n_materials,
-    3) are the shares of each material's area with the normal along x, y and z, by default derived from
-    the room. ``applied`` are effects that `Finding.apply` has added. ``climate_uncertainty`` has the
-    standard uncertainties of the temperature in K and of the relative humidity in %. ``program`` is
-    "geometrical" if a ray-based program made the simulated values, otherwise "".
+    rtcal compares means over positions with this case. To compare every position see
+    `PositionsCase`; to compare measurements before and after a change of the room see `StatesCase`.
+    Raises DataError if a value breaks a rule; the message names the place, the value and the rule.
     """
 
     kind: ClassVar[str] = "means"

@@ -350,11 +350,9 @@ LOCATED = 0.5
 class Candidate:
     """Hold one possible explanation of the data: an effect, its probability, its size and its place.
 
-    ``effect`` is its name and ``family`` that of its group. ``size`` is in ``unit``, with the 90 %
-    interval ``low`` to ``high``. The ``surface`` is known only if positions were compared.
-
-    ``probability`` is that of this explanation, and ``end`` is "least" or "most" if the data
-    allow any size beyond that end of the sizes that were tried, otherwise "".
+    ``family`` is the name of the effect's group, and ``probability`` that of this explanation.
+    ``end`` is "least" or "most" if the data allow any size beyond that end of those that were
+    tried, otherwise "".
     """
 
     effect: str
@@ -449,14 +447,10 @@ class Candidate:
 class Detection:
     """Hold how clearly the data differ from the room's model: a score and the threshold for it.
 
-    The score is a ln Bayes factor: the natural logarithm of how many times more probable the data are
-    if something is missing from the model than if nothing is. A difference is detected if the score of
-    all data, or of one of the ``parts``, exceeds its threshold. Raises ModelError for a score that is
-    not a finite number.
-
-    ``score`` is that of all data and ``threshold`` the score that at most 5 % of simulated rooms with
-    nothing missing exceed. For positions, ``noise`` is the ln Bayes factor that one pair is only
-    noisier than assumed, and ``means`` the detection from means over positions.
+    The score is a ln Bayes factor: the natural logarithm of how many times more probable the data
+    are if something is missing from the model than if nothing is. A difference is detected if the
+    score of all data, or of one of the ``parts``, exceeds its threshold. Raises ModelError for a
+    score that is not a finite number.
     """
 
     score: float

@@ -27,13 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Diagnosis(Result):
-    """Hold what is missing from a room's model, a check of it, and the corrected and calibrated model.
-
-    ``finding`` is what `rtcal.find` found, ``verification`` its check on data that were held out, and
-    ``calibrated`` the calibration with the effect in the model.
-
-    ``given`` are the names of the files that were read, first that of the case or room.
-    """
+    """Hold what is missing from a room's model, its check, and the corrected, calibrated model."""
 
     record_kind: ClassVar[str] = "diagnosis 1"
     words_in: ClassVar[str] = "rtcal.report.of_diagnosis"

@@ -46,14 +46,7 @@ Limits = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True)
 class Parameter:
-    """Describe a parameter of an effect, such as the thickness of a porous layer.
-
-    Its fields are the values that are tried, the physical limits, the unit, and words to print.
-
-    ``tried`` are the values that are tried, and ``within`` the smallest and largest possible one.
-    ``unit`` is a text that follows the value. ``words`` are printed in place of the values 0, 1, and so
-    on. ``discrete`` is True if there are no values between those that are tried.
-    """
+    """Describe a parameter of an effect, such as the thickness of a porous layer."""
 
     tried: Sequence[float] = ()
     """Values of the parameter that are tried; empty where the effect derives them from the room."""

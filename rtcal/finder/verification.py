@@ -102,13 +102,7 @@ MISSES = "misses"
 
 @dataclass(frozen=True)
 class Miss:
-    """Hold a band in which the corrected model does not reproduce the values it was calibrated to.
-
-    ``quantity`` is the parameter, such as "T20", ``place`` the name of the configuration, and
-    ``frequency`` that of the band in Hz. ``model`` and ``measured`` are the values and ``uncertainty``
-    the standard uncertainty of the measurement, in ``unit``. ``jnd`` is modelled minus measured value
-    in JND.
-    """
+    """Hold a band in which the corrected model does not reproduce the values it was calibrated to."""
 
     quantity: str
     place: str

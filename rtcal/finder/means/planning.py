@@ -60,12 +60,7 @@ _OF_EACH = 5
 
 @dataclass(frozen=True)
 class Proposal:
-    """Propose a measurement, with what it is expected to show about missing effects, and its cost.
-
-    ``information`` is in nats (1 nat = 1.44 bit), and ``cost`` in hours.
-
-    ``measurement`` is what to measure; ``str`` of it is a text.
-    """
+    """Propose a measurement, with what it is expected to show about missing effects, and its cost."""
 
     measurement: Reason
     """Measurement, as a key of `COSTS` with its values; ``str`` of it is its words."""
@@ -93,17 +88,7 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Result):
-    """Hold which effects a case's data could distinguish, and what to measure next.
-
-    ``print`` shows it as tables. ``separations`` has the ln Bayes factor that is expected between each
-    two effects with the present data, and ``proposals`` the further measurements, the most informative
-    per hour first.
-
-    ``parameters`` are the keys of the parameters that the case has. ``change`` is the relative change
-    of T for which the sizes of the effects were chosen, and ``reached`` the change by each effect.
-    ``sequence`` are three measurements in the best order, and ``uncertainty`` is the present entropy in
-    nats.
-    """
+    """Hold which effects a case's data could distinguish, and what to measure next."""
 
     record_kind: ClassVar[str] = "plan 2"
 

@@ -51,10 +51,7 @@ from rtcal.support.types import Array
 class Recalibrated(Result):
     """Hold the calibrated coefficients of a case, and the values that the model predicts with them.
 
-    ``case`` is the case with its effects. ``alpha`` (n_materials, n_bands) are the coefficients, and
-    ``changed`` those that a configuration changes. ``features`` are the predicted values. ``off`` is
-    the root mean square of fitted minus measured ln T, over its standard deviation. ``joint`` is the
-    result of the calibration.
+    ``case`` is the case with its effects.
     """
 
     record_kind: ClassVar[str] = "recalibration 1"
