@@ -15,8 +15,9 @@ from rtcal.command.finder import read_case
 from rtcal.finder import Case, Finding, verify
 from rtcal.finder.claim import Size
 from rtcal.finder.means.engines import FOLDER
+from rtcal.finder.means.search import LITTLE
 from rtcal.finder.search import find
-from rtcal.finder.verification import Miss, Verification, of_means
+from rtcal.finder.verification import LEAST_SHRINKAGE, SURE, Miss, Verification
 from tests.conftest import candidates_of
 from tests.test_discrepancy import controls_of
 
@@ -131,16 +132,17 @@ def with_gap(
     values[-2:, 0, rows, 0] = np.transpose([*gaps.values()])[:, :, None] if gaps else 0.0
     counted[rows, 0] = True
     claims = replace(seen.finding, verdict="family", family="added absorption")
-    return of_means(
-        finding or claims,
-        values,
-        counted,
-        uncertainty,
-        predictive,
-        misses,
-        [*gaps],
-        before=seen.uncorrected,
-        after=seen.corrected,
+    return replace(
+        seen,
+        finding=finding or claims,
+        gaps=values,
+        counted=counted,
+        uncertainty=uncertainty,
+        needed=max(LEAST_SHRINKAGE, SURE * uncertainty),
+        endured=max(LITTLE, uncertainty),
+        predictive=predictive,
+        misses=misses,
+        held_out=(*gaps,),
     )
 
 

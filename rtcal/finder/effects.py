@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
 from math import inf, isfinite
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -281,14 +281,6 @@ class Effect(ABC):
         errors = self.errors_over_bands(frequencies)
         return np.asarray(errors @ errors.T)
 
-    def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area in m² that the effect adds to a room, (n_bands,).
-
-        None if the effect adds no absorption. ``without`` and ``with_effect`` are the states of the
-        room without and with it.
-        """
-        return None
-
 
 class AbsorbingObject(Effect):
     """Describe missing objects whose absorption is proportional to their number, such as people.
@@ -319,11 +311,6 @@ class AbsorbingObject(Effect):
         """Return the state of the room with the objects added."""
         each = _interpolate_octaves(state.frequencies, self.each)
         return state.with_objects(parameters[self.size] * each)
-
-    def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
-        """Return the absorption area in m² that the objects add, (n_bands,)."""
-        added = with_effect.surface_absorption - without.surface_absorption
-        return np.asarray(added + with_effect.objects - without.objects)
 
 
 class Absorber(AbsorbingObject):
@@ -1351,15 +1338,14 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
                 f"{of_shape}: weights and rates of shapes {weights.shape} and {rates.shape} must "
                 f"both be (n_bands = {n_bands}, n_terms) and finite, with rates above 0"
             )
-    for name in _RULES:
-        before, values = getattr(state, name), list(map(attrgetter(name), made))
-        new = [i for i, value in enumerate(values) if value is not before and value is not None]
-        if not new or _obey(name, [values[i] for i in new], state):
+    for name, (theta, after) in product(_RULES, zip(grid, made, strict=True)):
+        value = getattr(after, name)
+        if value is getattr(state, name) or value is None:
             continue
-        i = next(i for i in new if not _obey(name, [values[i]], state))
-        with_what = ", ".join(f"{k} = {v:.3g}" for k, v in grid[i].items())
-        place = f'effect "{effect.name}": your function change, with {with_what},'
-        raise DataError(_disobeyed(place, name, values[i], state))
+        if broken := _broken_rule(name, value, state):
+            with_what = ", ".join(f"{k} = {v:.3g}" for k, v in theta.items())
+            place = f'effect "{effect.name}": your function change, with {with_what}, returns'
+            raise DataError(f"{place} {name}{broken}")
     return made
 
 
@@ -1369,40 +1355,21 @@ def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[
     return _run(where, lambda: effect.changes(locked, grid), grid[0])
 
 
-def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
-    """Return whether all values of a field have its shape and are within its ends."""
-    try:
-        together = np.array(values)
-    except ValueError:  # of several shapes
-        return False
-    either = name in ("covering", "objects")  # by band, or alike in all
-    shapes = [np.shape(state.air), ()] if either else [np.shape(getattr(state, name))]
-    least, most = _ends(name, state)
-    if together.dtype.kind not in "fiu" or together.shape[1:] not in shapes:
-        return False
-    return bool((np.isfinite(together) & (together >= least) & (together <= most)).all())
-
-
-def _disobeyed(place: str, name: str, value: Any, state: RoomState) -> str:
-    """Return in words the rule that the value of a field breaks: that of its shape, or of its ends."""
-    found, usual = checks.array(f"{place} {name}", value), np.shape(getattr(state, name))
-    said = f"{place} returns {name}"
-    if found.shape != usual and not _obey(name, [np.zeros_like(found) + 1.0], state):
-        return (
-            f"{said} of shape {found.shape}; {name} must be of shape {usual}, as without the effect"
-        )
-    least, most = _ends(name, state)
-    at = tuple(np.argwhere(~(np.isfinite(found) & (found >= least) & (found <= most)))[0])
-    end = float(np.broadcast_to(most, found.shape)[at])
-    return f"{said} = {found[at]:.6g}; {name} must be {_rule(least, end)}"
-
-
-def _ends(name: str, state: RoomState) -> tuple[float, Any]:
-    """Return the least and largest value of a field of a state; pieces may have more than alpha = 1."""
+def _broken_rule(name: str, value: Any, state: RoomState) -> str:
+    """Return in words how the value of a field breaks the rule of its shape, or of its ends; or ""."""
+    found, usual = np.asarray(value), np.shape(getattr(state, name))
+    shapes = (usual, np.shape(state.air), ()) if name in ("covering", "objects") else (usual,)
+    if found.dtype.kind not in "fiu" or found.shape not in shapes:
+        return f" of shape {found.shape}; {name} must be of shape {usual}, as without the effect"
     least, most = _RULES[name]
-    if name == "alpha" and state.walls is not True:
-        return least, np.where(state.walls, most, LARGEST_PIECE)[:, np.newaxis]
-    return least, most
+    if name == "alpha" and state.walls is not True:  # pieces may have more than 1
+        most = np.where(state.walls, most, LARGEST_PIECE)[:, np.newaxis]
+    within = np.isfinite(found) & (found >= least) & (found <= most)
+    if within.all():
+        return ""
+    at = tuple(np.argwhere(~within)[0])
+    end = float(np.broadcast_to(most, found.shape)[at])
+    return f" = {found[at]:.6g}; {name} must be {_rule(least, end)}"
 
 
 def _rule(least: float, most: float) -> str:

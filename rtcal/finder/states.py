@@ -185,8 +185,9 @@ def _shapes(
             continue
         every = [alpha for _, alpha in effect.on_surface(frequencies)]
         if not every:  # objects: what one size of them adds in m²
-            added = effect.added_absorption(base, effect.change(base, effect.grid(base)[0]))
-            every = [np.ones(len(frequencies)) if added is None else added]
+            after = effect.change(base, effect.grid(base)[0])
+            added = after.surface_absorption - base.surface_absorption
+            every = [np.asarray(added + after.objects - base.objects)]
         # A coefficient of 0 is a thousandth of the largest.
         raised = [np.maximum(alpha, 1e-3 * alpha.max()) for alpha in every]
         spectra = np.array([alpha / alpha.mean() for alpha in raised])[:, where]

@@ -84,7 +84,7 @@ LEAST_SHRINKAGE = 0.2
 is."""
 _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
-_SURE = 1.645
+SURE = 1.645
 """Standard errors by which a gap of means must shrink: the same confidence, of a normal error."""
 _DRAWS = 256
 """Draws of the noise of measurement and runs."""
@@ -554,18 +554,28 @@ def _of_means(
         else:
             error = _noise_of_gain(case, gaps[1:, 0], held[0], compared)
         errors += [error] * int(held.any(axis=2).sum())
-    made = of_means(
-        finding,
-        np.ascontiguousarray(gaps.swapaxes(1, 2)[:, np.newaxis]),
-        np.asarray((counted & np.isfinite(measured)).any(axis=2)).T,
-        float(np.mean(errors or [np.nan])),
-        sum(nats) if simulated is None else np.nan,
-        _misses_of_means(case, observed, last(after)),
-        held_out or [part.words for part in parts],
-        before=before,
-        after=after,
+    error = float(np.mean(errors or [np.nan]))
+    made = Verification(
+        finding=finding,
+        models=MODELS,
+        held_out=tuple(held_out or [part.words for part in parts]),
+        quantities=tuple(
+            " or ".join(dict.fromkeys(each))
+            for each in zip(*(feature_names(c.measured) for c in case.configurations), strict=True)
+        ),
+        places=tuple(c.name for c in case.configurations),
+        gaps=np.ascontiguousarray(gaps.swapaxes(1, 2)[:, np.newaxis]),
+        counted=np.asarray((counted & np.isfinite(measured)).any(axis=2)).T,
+        uncertainty=error,
+        needed=max(LEAST_SHRINKAGE, SURE * error),
+        endured=max(LITTLE, error),
+        predictive=sum(nats) if simulated is None else np.nan,
+        misses=tuple(_misses_of_means(case, observed, last(after))),
+        uncorrected=before,
+        corrected=after,
+        features=last(after),
+        effect=name,
     )
-    made = replace(made, effect=name)
     if runs[1] is None:
         return made
     return replace(
@@ -574,7 +584,6 @@ def _of_means(
         endured=made.needed,  # the program has a noise of its own
         runs=OF_RUNS[:1] if runs[0] is None else OF_RUNS,
         notes=_lacking(case, [m for m in (calibrated, simulated) if m is not None]),
-        features=last(after),
         again=_in_jnd(runs[1] - measured).swapaxes(0, 1),
     )
 
@@ -677,46 +686,6 @@ def _in_jnd(off: Array) -> Array:
     jnd = np.array([[observable(name).jnd] for name in FEATURES])
     relative = np.array([[name not in LEVELS] for name in FEATURES])  # these are logarithms
     return np.asarray(np.where(relative, np.expm1(np.where(relative, off, 0.0)), off) / jnd)
-
-
-def of_means(
-    finding: Finding,
-    gaps: Array,
-    counted: NDArray[np.bool_],
-    uncertainty: float,
-    predictive: float,
-    misses: Sequence[Miss],
-    held_out: Sequence[str],
-    *,
-    before: Recalibrated,
-    after: Recalibrated,
-) -> Verification:
-    """Return the verification of a finding by deviations of means over positions.
-
-    ``gaps`` are simulated minus measured values in JND, and ``counted`` is True for those that count.
-    ``uncertainty`` is their standard uncertainty in JND. ``predictive`` is the ln Bayes factor of the
-    effect from the held-out data, whose names are ``held_out``. ``misses`` are the bands whose T the
-    corrected model does not reproduce. ``before`` and ``after`` are without and with the effect.
-    """
-    configurations = after.case.configurations
-    names = zip(*(feature_names(c.measured) for c in configurations), strict=True)
-    return Verification(
-        finding=finding,
-        models=MODELS,
-        held_out=tuple(held_out),
-        quantities=tuple(" or ".join(dict.fromkeys(name)) for name in names),
-        places=tuple(c.name for c in configurations),
-        gaps=gaps,
-        counted=counted,
-        uncertainty=uncertainty,
-        needed=max(LEAST_SHRINKAGE, _SURE * uncertainty),
-        endured=max(LITTLE, uncertainty),
-        predictive=predictive,
-        misses=tuple(misses),
-        uncorrected=before,
-        corrected=after,
-        features=after.features + finding.discrepancy.bias.reshape(after.features.shape),
-    )
 
 
 def _misses_of_means(case: Case, observed: ObservedFeatures, features: Array) -> list[Miss]:
@@ -853,7 +822,7 @@ class _Model(NamedTuple):
 
     number: int
     tracer: PathTracing
-    halves: Sequence[Sequence[Pair]]
+    halves: Sequence[tuple[Pair, ...]]
     run: Measurement | None = None
     of_run: PathTracing | None = None
 
@@ -925,19 +894,18 @@ def _at_positions(
         columns = [finding.pairs.index(p) for p in left]
         gaps[model, n][:, columns] = _gaps_at(finding, values, left)
 
-    jobs = [(n, seed, *each) for n, seed in enumerate(chosen) for each in models]
+    jobs = [(n, seed, model) for n, seed in enumerate(chosen) for model in models]
     task = partial(_simulated, case, finding.parameters, finding.controls)
     told = progress and partial(progress, "models")
     with workforce(scheduler, threads=1) as workers:  # a tracing takes all cores
-        for (n, _, model, _, fitted, *_), values in zip(
-            jobs, workers.in_order(task, jobs, told), strict=True
-        ):
-            for of, (before, after) in zip(fitted, values, strict=True):
-                if model == 1:
-                    compare(0, n, before, of)
-                compare(model, n, after, of)
-                if model == 1 and made is None and added[halves.index(tuple(of))] is None:
-                    compare(2, n, after, of)
+        each = zip(jobs, workers.in_order(task, jobs, told), strict=True)
+        for (n, _, model), values in each:
+            for half, (before, after) in zip(model.halves, values, strict=True):
+                if model.number == 1:
+                    compare(0, n, before, half)
+                compare(model.number, n, after, half)
+                if model.number == 1 and made is None and added[halves.index(half)] is None:
+                    compare(2, n, after, half)
     if made is None:
         found = at_positions(finding, gaps, added, halves)
         names = (OF_RUNS[0], *MODELS[1:])
@@ -1009,31 +977,24 @@ def _simulated(
     case: PositionsCase,
     parameters: Sequence[str],
     controls: ControlRuns,
-    job: tuple[
-        int,
-        int,
-        int,
-        PathTracing,
-        Sequence[Sequence[Pair]],
-        Measurement | None,
-        PathTracing | None,
-    ],
+    job: tuple[int, int, _Model],
 ) -> list[tuple[Observations, Observations]]:
-    """Return what a `_Model` gives as it is, and calibrated to each of some halves of the pairs."""
-    _, seed, _, tracer, halves, run, of_run = job
-    tracer, made = replace(tracer), []  # without the paths of another job
+    """Return what a model gives as it is, and calibrated to each of its halves of the pairs."""
+    _, seed, model = job
+    tracer, made = replace(model.tracer), []  # without the paths of another job
     trace_ahead(tracer, tracer.room.alpha, seed)
     before = observe_pairs(tracer, tracer.room.alpha, parameters, seed=seed)
     offset = np.zeros_like(before.values)
-    if run is not None:
+    if model.run is not None:
         own = before
-        if of_run is not None:
+        if (of_run := model.of_run) is not None:
             own = observe_pairs(replace(of_run), of_run.room.alpha, parameters, seed=seed)
-        offset = Observations.of_measurement(run, parameters, before.pairs).values - own.values
-    for half in halves:
+        given = Observations.of_measurement(model.run, parameters, before.pairs)
+        offset = given.values - own.values
+    for half in model.halves:
         fitted = case.only(half)
         measured = fitted.measured
-        if run is not None:
+        if model.run is not None:
             measured = _less(measured, parameters, before.pairs, offset)
         result = calibrate_positions(
             tracer,
@@ -1047,8 +1008,8 @@ def _simulated(
         )
         # Its tracer scatters as fitted, with which alpha was calibrated.
         after = observe_pairs(result.tracer, result.alpha, parameters, seed=seed)
-        both = (replace(of, values=of.values + offset) for of in (before, after))
-        made.append((next(both), next(both)))
+        one, other = (replace(of, values=of.values + offset) for of in (before, after))
+        made.append((one, other))
     return made
 
 
