@@ -1361,7 +1361,8 @@ def _broken_rule(name: str, value: Any, state: RoomState) -> str:
     shapes = (usual, np.shape(state.air), ()) if name in ("covering", "objects") else (usual,)
     if found.dtype.kind not in "fiu" or found.shape not in shapes:
         return f" of shape {found.shape}; {name} must be of shape {usual}, as without the effect"
-    least, most = _RULES[name]
+    ends: tuple[float, Any] = _RULES[name]
+    least, most = ends
     if name == "alpha" and state.walls is not True:  # pieces may have more than 1
         most = np.where(state.walls, most, LARGEST_PIECE)[:, np.newaxis]
     within = np.isfinite(found) & (found >= least) & (found <= most)
