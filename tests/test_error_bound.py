@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.calibration import exact
-from rtcal.calibration.qp import certify
+from rtcal.calibration.qp import System, certify, with_errors
 from rtcal.calibration.result import JointResult
 from rtcal.support.errors import SolverError
 from tests import coupled, rational
@@ -144,6 +144,27 @@ def test_errors_of_rows_of_either_sign_are_within_the_bound(configurations: int)
         moves = rng.standard_normal((100, configurations))  # of one unknown, by each row's error
         summed = np.abs(moves @ problem.signs[1][rows]).sum(axis=1)
         assert (np.abs(moves).sum(axis=1) <= summed * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_rows_that_define_variables_are_errors_of_the_gradient(seed: int) -> None:
+    """The smooth method defines steps and misfits: 41 rows are joined, and no solve is needed."""
+    rng = np.random.default_rng(seed)
+    alpha, areas = rng.uniform(0.05, 0.9, (7, 6)), rng.uniform(1, 100, 7)
+    materials = {
+        f"m{i}": (s, a, 0.3 * a) for i, (s, a) in enumerate(zip(areas, alpha, strict=True))
+    }
+    room = room_of(materials, [125, 250, 500, 1000, 2000, 4000], 200.0, air=rt.Air())
+    true = np.clip(alpha + 0.6 * alpha * rng.standard_normal(alpha.shape), 0, 0.99)
+    joint = rt.calibrate(room, rt.Eyring().time(room, areas @ true), method="smooth").joint
+    qp, at = joint.qp, joint.point.at
+    assert qp.compiled.defining is not None
+    system = System(qp, at == 0, qp.equal)
+    for _ in range(100):
+        errors = [rng.standard_normal(n) * (rng.random(n) < 0.2) for n in (len(qp.c), len(qp.b))]
+        moved = system.solve(*errors)[0][qp.compiled.places]
+        left = with_errors(qp, np.zeros(len(qp.c)), *map(np.abs, errors))
+        assert 0 < np.linalg.norm(moved) <= np.linalg.norm(left)
 
 
 @pytest.mark.parametrize("seed", [160, 258, 350, 370, 613, 711, 777, *range(20)])

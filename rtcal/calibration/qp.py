@@ -171,6 +171,20 @@ class CompiledProblem:
         signs = hadamard(1 << (most - 1).bit_length(), float)
         return signs[numbers[0] % len(signs)], signs[numbers[1] % len(signs)]
 
+    @functools.cached_property
+    def defining(self) -> Integers | None:
+        """Entry of A, by row, of the variable that the row defines; None unless each defines one.
+
+        Such a variable stands in this equality alone, is no unknown and has no bound. None also if
+        there are further variables than these and the unknowns.
+        """
+        alone = np.bincount(self.A_columns, minlength=self.size) == 1
+        alone[self.places] = alone[self._nonnegative] = False
+        entries = np.flatnonzero(alone[self.A_columns])
+        rows, first = np.unique(self.A_rows[entries], return_index=True)
+        every = len(rows) == self.equal.sum() == len(self.equal)
+        return entries[first] if every and len(rows) + len(self.places) == self.size else None
+
     def __reduce__(self) -> Any:
         """Pickle what it is compiled of."""
         return compile_once, self._arguments
@@ -772,13 +786,13 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
     primal = max(outside.max(), missed.max(initial=0.0))
     relative = np.max(abs(unbalanced) / magnitude), gap / magnitude.max()
     moved, left, g = np.zeros(len(v)), unbalanced, gap
-    if point.system is not None:  # what is not active has no multiplier, and so no gap
+    if point.system is not None and convexity > 0:
+        # What is not active has no multiplier, and so no gap.
         system, absolute, g = point.system, program.absolute, 0.0
         dv, dy = system.solve(-force, slack)
         rest = force + program.force(dv, dy) - program.c
-        wrong = np.where(point.at < 0, np.minimum(rest, 0.0), np.maximum(rest, 0.0))
         free = (point.at == 0) & ~program.fixed
-        left, moved = np.where(free, rest, np.where(point.at != 0, wrong, 0.0)), np.abs(dv)
+        left, moved = np.where(free, np.abs(rest), point.at * rest), np.abs(dv)
         # The residuals have rounding errors of their own. With u = eps / 2 and n materials, a row errs
         # in A v by (n + 1) u |A||v|: n for the sum of products (Higham 2002, Sect. 3.1) and 1 for A =
         # S sigma. v at a bound and alpha = mu + sigma v add 3 u |A||v| + u S'alpha, and b = t - S'mu
@@ -792,10 +806,13 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
         unmet = unmet[program.compiled.A_rows]
         alone = np.divide(unmet, absolute.A, out=np.zeros_like(unmet), where=absolute.A != 0)
         np.maximum.at(moved, program.compiled.A_columns, alone)
-        each, row = (
-            (signs.T * error).T for signs, error in zip(program.compiled.signs, errors, strict=True)
-        )
-        moved = moved + np.abs(system.solve(each, row, refine=False)[0]).sum(axis=1)
+        signs = program.compiled.signs
+        if signs[1].shape[1] > 1 and program.compiled.defining is not None:
+            left = with_errors(program, left, *errors)
+        else:
+            each, row = ((sign.T * error).T for sign, error in zip(signs, errors, strict=True))
+            moved = moved + np.abs(system.solve(each, row, refine=False)[0]).sum(axis=1)
+        left = np.maximum(left, 0.0)
     bound = np.maximum(to_lower, to_upper)
     if convexity > 0:
         r, m = np.linalg.norm(left), convexity
@@ -808,3 +825,22 @@ def certify(program: QP, point: Iterate, convexity: float) -> Certificate:
         alpha_error_bound=program.compiled.layout.expand(bound[program.compiled.places]),
         accepted=bool(primal <= _ACCEPTED and max(relative) <= _ACCEPTED),
     )
+
+
+def with_errors(program: QP, left: Array, of_gradient: Array, of_rows: Array) -> Array:
+    """Return the residuals of the unknowns with the errors of gradient and rows in them, (size,).
+
+    ``left`` (size,) are the absolute residuals without errors, and ``of_gradient`` (size,) and
+    ``of_rows`` (n_rows,) the largest absolute errors. Every row must define a variable
+    (`CompiledProblem.defining`). With an error e of its row, this variable moves by e over its entry of
+    A, which changes the gradient. Its residual is one of the unknowns that define it.
+    """
+    of, entries = program.compiled, program.absolute
+    defined, pivot = of.A_columns[of.defining], entries.A[of.defining]
+    moved = np.zeros(len(left))
+    moved[defined] = of_rows / pivot
+    error = of_gradient + np.bincount(of.P_rows, entries.P * moved[of.P_columns], len(left))
+    pull = entries.A * ((left + error)[defined] / pivot)[of.A_rows]
+    left = left + error + np.bincount(of.A_columns, pull, len(left))
+    left[defined] = left[program.fixed] = 0.0
+    return left
