@@ -232,14 +232,12 @@ class Corrected:
 _LARGEST_SHARE = 0.5
 """Share of the wall area up to which an absorber is enlarged for its size's interval. The limit only
 bounds how far a calibration can enlarge the absorber."""
-_MOST = 10.0
-"""Area of an absorber over that of the walls beyond which no such absorber is made."""
+_MOST = 10.0  # area of an absorber over that of the walls beyond which no such absorber is made
 _NO_ABSORPTION = 1e-12
 """Change of the absorption over the wall area under which an effect absorbs nothing."""
 _OFF_GEOMETRY = 0.01
 """Share by which a geometry may differ from an area or a volume that the finding has changed."""
-_STEP = 1e-4
-"""Step of alpha for a derivative."""
+_STEP = 1e-4  # step of alpha for a derivative
 _HELD = (
     *("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation"),
     "walls",
@@ -576,10 +574,8 @@ absorption as well as lower it."""
 DRAWN_LARGER = "patch drawn larger"
 """Code of the note that a patch was drawn larger."""
 _LEAST_SIGMA = 0.01
-_NOTED = 0.05
-"""Share of a change that does not fit, from which on a note says so."""
-_GONE = 1e-6
-"""Share of all surfaces under which a material is no longer there."""
+_NOTED = 0.05  # share of a change that does not fit, from which on a note says so
+_GONE = 1e-6  # share of all surfaces under which a material is no longer there
 
 
 def corrected_geometry(

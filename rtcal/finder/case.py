@@ -644,8 +644,7 @@ a good decay. G: -40 is 20 dB below the direct sound at 100 m, and 60 is 20 dB a
 VOLUMES = (1e-3, 1e8)
 """Smallest and largest accepted volume in m³: a litre for scale models; the largest halls have some
 1e7."""
-_OFF_BOX = 0.1
-"""Share by which the volume may differ from that of the stated dimensions."""
+_OFF_BOX = 0.1  # share by which the volume may differ from that of the stated dimensions
 
 
 def _check_size(room: Room) -> None:

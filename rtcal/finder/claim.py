@@ -36,8 +36,7 @@ DISTINCT_NATS = 2.3
 """Difference of ln Bayes factors from which two effects or surfaces are distinguished: odds of ten to
 one."""
 _ABSORPTION = "added absorption"
-_ALIKE = 1.25
-"""Ratio of both ends of the line through the bands, below which these are alike."""
+_ALIKE = 1.25  # ratio of both ends of the line through the bands, below which these are alike
 
 
 def over_frequency(values: Array) -> str:

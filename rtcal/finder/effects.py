@@ -445,8 +445,7 @@ def _statistical(normal: NDArray[np.complex128], angles: Array) -> Array:
     return np.asarray(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
 
 
-_MASS = 0.4
-"""Surface mass of the fabric in kg/m²: velour and molton have 0.3 to 0.5."""
+_MASS = 0.4  # surface mass of the fabric in kg/m²: velour and molton have 0.3 to 0.5
 _IMPEDANCE_OF_AIR = 413.0
 
 
@@ -514,8 +513,7 @@ def _resonance(frequencies: Array, resonance: float, quality: float, peak: float
 
 _PEAK = 0.55
 """alpha at the resonance. Catalogues have 0.3 to 0.7 for plywood and plasterboard before air."""
-_QUALITY = 1.2
-"""Plywood and plasterboard before air absorb over two octaves."""
+_QUALITY = 1.2  # plywood and plasterboard before air absorb over two octaves
 
 
 @dataclass(frozen=True)
@@ -635,8 +633,7 @@ class Opening(Absorber):
         return np.ones_like(frequencies)
 
 
-_LAST = 500.0
-"""Decay of the energy in nepers after which it is too little for a double number."""
+_LAST = 500.0  # decay of the energy in nepers after which it is too little for a double number
 RATIOS = (5e-4, 2e3)
 """Smallest and largest ratio of a true area or volume to the input value: a wrong unit is a factor of
 1000."""
@@ -1272,8 +1269,7 @@ def beyond(
     return every
 
 
-_MORE = 4
-"""Sizes by which a grid goes on at once."""
+_MORE = 4  # sizes by which a grid goes on at once
 
 
 def check_parameters(

@@ -60,10 +60,8 @@ candidates with a lower probability 9 of 41 were right."""
 LEAST_PAIRS = 4
 """Smallest number of pairs for a check at held-out pairs: half of the pairs must find the effect
 again."""
-_CHOICE = 6
-"""Most candidates of which a sentence gives the choice."""
-_LEAST = 1e-3
-"""Probability below which nothing is added to a surface, even where the user names it."""
+_CHOICE = 6  # most candidates of which a sentence gives the choice
+_LEAST = 1e-3  # probability below which nothing is added to a surface, even where the user names it
 Kind = Literal["means", "positions", "states"]
 DATA = {"means": "means over positions", "positions": "positions", "states": "two states"}
 

@@ -394,8 +394,7 @@ def _times(weights: Array, rates: Array, floor_db: Array, record: Array) -> Arra
     return np.stack([t20, edt - t20, t30 - t20], axis=1)
 
 
-_ORDER = 5
-"""Number of polar angles, and of azimuths, of the directions."""
+_ORDER = 5  # number of polar angles, and of azimuths, of the directions
 
 
 @dataclass(frozen=True)

@@ -245,8 +245,7 @@ def _climate_covariance(
     return np.asarray(2 * (off * weight[:, np.newaxis]).T @ off)
 
 
-_NODES = 4
-"""Nodes of a quadrature over temperatures, and over humidities."""
+_NODES = 4  # nodes of a quadrature over temperatures, and over humidities
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,20 +310,13 @@ DEGREES, OF_MEANS = 5.0, 15.0
 """Degrees of freedom of a pair's noise, and of that of means over positions."""
 SCALES = {0.7: 0.2, 1.0: 0.5, 1.4: 0.2, 2.0: 0.1}
 """Scales of all pairs' noise and their prior probabilities."""
-_USUAL = 1
-"""Number of the most probable scale."""
-_STEPS = 12
-"""Most Gauss-Newton steps."""
-_SETTLED = 1e-3
-"""Largest last step of ln size."""
-_WEIGHINGS = 5
-"""Steps of the pairs' weights at each of them."""
-_FIRST = 3
-"""Gauss-Newton steps before the hypotheses that explain the data badly are dropped."""
-_NEGLIGIBLE = 25.0
-"""Evidence in nats below the best hypothesis', from which one is dropped."""
-_MOST_AT_ONCE = 20_000
-"""Pairs times hypotheses that are computed at once."""
+_USUAL = 1  # number of the most probable scale
+_STEPS = 12  # most Gauss-Newton steps
+_SETTLED = 1e-3  # largest last step of ln size
+_WEIGHINGS = 5  # steps of the pairs' weights at each of them
+_FIRST = 3  # Gauss-Newton steps before the hypotheses that explain the data badly are dropped
+_NEGLIGIBLE = 25.0  # evidence in nats below the best hypothesis', from which one is dropped
+_MOST_AT_ONCE = 20_000  # pairs times hypotheses that are computed at once
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,8 +86,7 @@ _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
 SURE = 1.645
 """Standard errors by which a gap of means must shrink: the same confidence, of a normal error."""
-_DRAWS = 256
-"""Draws of the noise of measurement and runs."""
+_DRAWS = 256  # draws of the noise of measurement and runs
 _PREDICTED = 1.0
 """Mean gap in JND at what was held out, up to which the corrected model of means predicts it."""
 _LEAST_NEW = 2

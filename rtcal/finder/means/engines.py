@@ -55,8 +55,7 @@ _RECEIVERS = 4
 _PATHS = 3000
 _IMAGES = 300_000
 """Image sources of a pair that are counted one by one. Of later ones the mean is taken."""
-_BIN = 0.001
-"""Width in s of the bins that image sources are counted in."""
+_BIN = 0.001  # width in s of the bins that image sources are counted in
 
 
 @dataclass(frozen=True, eq=False)

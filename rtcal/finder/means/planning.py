@@ -54,8 +54,7 @@ from rtcal.support.types import Array
 
 STEPS = 3
 """Number of measurements in the proposed sequence."""
-_OF_EACH = 5
-"""Parameter sets of each effect that stand for it where nothing was measured."""
+_OF_EACH = 5  # parameter sets of each effect that stand for it where nothing was measured
 
 
 @dataclass(frozen=True)
@@ -258,8 +257,7 @@ def plan(
     )
 
 
-_NEGLIGIBLE = 1e-4
-"""Probability of a hypothesis that a plan leaves out."""
+_NEGLIGIBLE = 1e-4  # probability of a hypothesis that a plan leaves out
 Weighted = Sequence[tuple[tuple[AppliedEffect, ...], float]]
 
 

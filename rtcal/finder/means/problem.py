@@ -146,8 +146,7 @@ class _PredictedFeatures:
         return alone + parts @ parts.swapaxes(1, 2), together
 
 
-_RATE = 6 * np.log(10)
-"""k T of an exponential decay."""
+_RATE = 6 * np.log(10)  # k T of an exponential decay
 
 
 def predict_in(
@@ -1016,10 +1015,8 @@ def evaluate_beyond(
     return evidence
 
 
-_ROUNDS = 5
-"""Times that a grid may go on, by four steps each."""
-_FLAT = 0.1
-"""Evidence in nats that the last four steps must have gained for a grid to go on."""
+_ROUNDS = 5  # times that a grid may go on, by four steps each
+_FLAT = 0.1  # evidence in nats that the last four steps must have gained for a grid to go on
 
 
 def _unknown_evidence(
@@ -1091,8 +1088,7 @@ def thresholds(scores: Array) -> Array:
     return np.asarray(np.quantile(raised, level, axis=0))
 
 
-_FEW = 16
-"""Number of an engine's reference rooms below which they are not divided."""
+_FEW = 16  # number of an engine's reference rooms below which they are not divided
 
 
 def _part(controls: ControlRooms, fold: int) -> ControlRooms:

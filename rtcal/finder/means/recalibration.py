@@ -153,10 +153,8 @@ class Recalibrated(Result):
 
 
 _ROUNDS = 12
-_SETTLED = 1e-4
-"""Largest change of alpha after which no further step is taken."""
-_STEP = 1e-5
-"""Change of alpha over which ln T is differentiated."""
+_SETTLED = 1e-4  # largest change of alpha after which no further step is taken
+_STEP = 1e-5  # change of alpha over which ln T is differentiated
 _LEAST_U = 0.002
 """Relative uncertainty of T at least: a stated one of 0 would leave the prior no weight."""
 _EXACT_U = 1e-4

@@ -456,8 +456,7 @@ def _estimate_size(
     return best, Size(float(by_size @ size_of(fine)), interval[0], interval[1], unit, end)
 
 
-_LEAST_DENSITY = 1e-30
-"""Density below which parameters are impossible."""
+_LEAST_DENSITY = 1e-30  # density below which parameters are impossible
 
 
 def _searched(
@@ -733,5 +732,4 @@ def _notes(case: Case) -> list[Reason]:
     return [*out, *([Reason("no air")] if case.room.air is None else [])]
 
 
-_CURVED = 10.0
-"""Curvature in percent above which a decay is not straight (ISO 3382-2, Annex B)."""
+_CURVED = 10.0  # curvature in percent above which a decay is not straight (ISO 3382-2, Annex B)

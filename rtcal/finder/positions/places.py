@@ -17,8 +17,7 @@ from rtcal.support.types import Array
 
 MARGIN = 0.7
 """Smallest distance in m between a proposed position and any wall or source."""
-_RIVALS = 3
-"""Most surfaces that are compared."""
+_RIVALS = 3  # most surfaces that are compared
 
 
 @dataclass(frozen=True)

@@ -118,8 +118,7 @@ _NEGLIGIBLE = 15.0
 weighed beside each effect."""
 
 
-_TINY = 1e-9
-"""Prior probability below which nothing else than a noisy pair is tried."""
+_TINY = 1e-9  # prior probability below which nothing else than a noisy pair is tried
 
 
 def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residual: Array) -> Array:
@@ -232,8 +231,7 @@ def of_means(case: PositionsCase) -> Case:
     return means.only(*names.intersection(PARAMETERS))
 
 
-_SPACING = 0.1
-"""Standard deviation of ln size within the grid's distance, which is 0.26."""
+_SPACING = 0.1  # standard deviation of ln size within the grid's distance, which is 0.26
 
 
 @dataclass(frozen=True, eq=False)

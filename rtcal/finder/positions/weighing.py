@@ -81,12 +81,9 @@ ALPHAS = (0.03, 0.08, 0.2)
 """Its mean absorption coefficients."""
 SECOND_ROOMS = tuple(product(VOLUMES, ALPHAS))
 """Volume over that of the first room, and mean alpha, of each second room."""
-_NEPERS = 6 * np.log(10)
-"""ln of the energy's decay in a reverberation time."""
-_LARGEST_SHARE = 0.95
-"""Of what a room loses, through an aperture."""
-_FOLLOWED = 0.9
-"""Of the slow reverberation time: 54 dB. T30 needs 50 dB with its margin."""
+_NEPERS = 6 * np.log(10)  # ln of the energy's decay in a reverberation time
+_LARGEST_SHARE = 0.95  # of what a room loses, through an aperture
+_FOLLOWED = 0.9  # of the slow reverberation time: 54 dB. T30 needs 50 dB with its margin.
 
 
 @dataclass(frozen=True)
@@ -257,10 +254,8 @@ class Weighing:
 
 MOVE = 0.5
 """Distance in m by which a source or receiver is displaced, along each axis and both ways."""
-_FROM_WALLS = 0.05
-"""Least distance in m of a displaced position from a wall."""
-_SOURCE_PATHS = 4000
-"""Paths from each displaced source."""
+_FROM_WALLS = 0.05  # least distance in m of a displaced position from a wall
+_SOURCE_PATHS = 4000  # paths from each displaced source
 
 _MORE_PATHS = 8
 """Factor of the paths to displaced places where too few of them arrive at one. In a judged room the
@@ -337,8 +332,7 @@ TRACED = (-2.0, -1.0, 1.5)
 they lead to 0.08, 0.2 and 0.75."""
 
 
-_FEW_PATHS = 1600
-"""Paths from each source that tell how long the others must be."""
+_FEW_PATHS = 1600  # paths from each source that tell how long the others must be
 _SPARE = 1.15
 """By how much longer they are, since a decay's length differs between few paths and many."""
 
