@@ -249,31 +249,18 @@ _DECAY, _NO_AIR, _TOO_MUCH = "decay not in a room", "air of no climate", "absorb
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CaseModel(RoomSimulator):
-    """Simulate a case's model with its effects, for given coefficients of the materials of ``room``.
-
-    Attributes
-    ----------
-    case : Case
-        Case with the effects in its model.
-    room : Room
-        Room with the input materials, followed by one material for each effect that absorbs.
-    stated : Room
-        Room with the input materials alone.
-    whole : RoomState
-        Acoustic state of the model with the coefficients that ``room`` has.
-    absent : mapping
-        Reasons why a room cannot represent an effect, by the effect's name.
-    inner : Simulator, optional
-        Simulator of ``stated``, over whose walls the absorption of the effects is spread. If it is
-        None, the reverberation equation gives the values of the case's first configuration.
-    """
+    """Simulate a case's model with its effects, for given coefficients of the materials of ``room``."""
 
     case: Case
-    room: Room
-    stated: Room
-    whole: RoomState
-    absent: Mapping[str, Sequence[Reason]] = field(default_factory=dict)
+    room: Room  # the input materials, followed by one for each effect that absorbs
+    stated: Room  # the input materials alone
+    whole: RoomState  # state of the model with the coefficients of ``room``
+    absent: Mapping[str, Sequence[Reason]] = field(
+        default_factory=dict
+    )  # by effect, lost in a room
     inner: Simulator | None = None
+    """Simulator of ``stated``, over whose walls the effects' absorption is spread; by default the
+    equation gives the values of the first configuration."""
 
     @property
     def name(self) -> str:
@@ -402,11 +389,10 @@ def corrected_case(case: Case) -> Corrected:
             if f.name not in _HELD
         ):
             absent[p.name] = [Reason(_DECAY, {"effect": p.name})]
-        climate = p.effect.air(air, p.parameters)
-        air = climate if _is_air(climate, after) else air
         if not np.array_equal(after.air, before.air):
-            last_air = p.name
-    if not _is_air(air, after):
+            air, last_air = p.effect.air(air, p.parameters), p.name
+    attenuation = 0.0 if air is None else air.attenuation(room.centre_frequencies)
+    if not np.allclose(attenuation, after.air, rtol=1e-12, atol=0):
         absent[last_air] = [Reason(_NO_AIR, {"effect": last_air})]
     stated = room.replace(
         air=air,
@@ -537,12 +523,6 @@ def _size(p: AppliedEffect, room: Room) -> str:
     return amount(p.size, p.effect.unit_in(p.parameters, room), p.size_interval).rstrip()
 
 
-def _is_air(air: Any, s: RoomState) -> bool:
-    """Return whether a state has this air's attenuation."""
-    attenuation = 0.0 if air is None else air.attenuation(s.frequencies)
-    return bool(np.allclose(attenuation, s.air, rtol=1e-12, atol=0))
-
-
 def _sigma(case: Case, base: Configuration, before: RoomState, after: RoomState) -> Array:
     """Return sigma of the stated materials: that of what is seen of them, and of the effects' sizes."""
     if np.array_equal(after.alpha, before.alpha):
@@ -646,10 +626,8 @@ def _behind(room: Room, before: Polyhedron, after: Polyhedron) -> Array:
 
 def _with_material(geometry: Polyhedron, material: str, faces: NDArray[np.intp]) -> Polyhedron:
     """Return the geometry with a material on these faces."""
-    materials = list(geometry.materials)
-    for i in faces.tolist():
-        materials[i] = material
-    return replace(geometry, materials=materials)
+    made_of = enumerate(geometry.materials)
+    return replace(geometry, materials=[material if i in faces else of for i, of in made_of])
 
 
 def _in_geometry(

@@ -496,11 +496,7 @@ class Case:
 
     def __repr__(self) -> str:
         names = ", ".join(c.name for c in self.configurations)
-        return (
-            f'<Case "{shortened(self.room.name)}": {self.room.n_materials} materials, '
-            f"{bands.span(self.room.centre_frequencies)}, {len(self.configurations)} "
-            f"configurations: {shortened(names)}>"
-        )
+        return f'<Case "{shortened(self.room.name)}": {shortened(names)}>'
 
     @property
     def has_run(self) -> bool:
@@ -1150,16 +1146,12 @@ def case_of(
     elif tracing:
         raise DataError(f"tracing {needs}{'' if before is None else ' before and after'}")
     if before is not None:
-        for name in filter(stated.get, stated):
-            raise DataError(
-                f"{name} cannot be used in a search for what changed between two configurations: "
-                "leave it out"
-            )
-        if simulated is not None:
-            raise DataError(
-                "simulated cannot be used in a search for what changed between two "
-                "configurations: leave it out"
-            )
+        for name, value in {**stated, "simulated": simulated}.items():
+            if value:
+                raise DataError(
+                    f"{name} cannot be used in a search for what changed between two "
+                    "configurations: leave it out"
+                )
         return StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if simulator is not None and of_pairs:
         if program:

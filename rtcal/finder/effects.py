@@ -675,10 +675,8 @@ class WrongArea(WrongStatement):
     }
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.0
-    NUMBER: ClassVar[str] = "number"
-    """Name in print of a wrong number of pieces."""
-    OF_NUMBER: ClassVar[str] = "of the input number"
-    """Unit of its ratio."""
+    NUMBER: ClassVar[str] = "number"  # name in print of a wrong number of pieces
+    OF_NUMBER: ClassVar[str] = "of the input number"  # unit of its ratio
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the combinations to try: each material with 0.35 to 2.9 times its input area."""
@@ -1398,10 +1396,8 @@ class AppliedEffect:
     effect: Any
     """Effect, given by its name in the library or as an object. A case with an effect that is not in
     the library cannot be saved."""
-    parameters: Mapping[str, float]
-    """Values of the effect's parameters, by name."""
-    size_interval: tuple[float, float] | None = None
-    """90 % interval of the effect's size."""
+    parameters: Mapping[str, float]  # values of the effect's parameters, by name
+    size_interval: tuple[float, float] | None = None  # 90 % interval of the effect's size
 
     def __post_init__(self) -> None:
         effect: Any = self.effect

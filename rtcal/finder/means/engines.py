@@ -289,7 +289,11 @@ class Engine:
         coefficients takes its place, so that the errors are differences between two simulations.
         """
         rng = np.random.default_rng([seed, self.stream])
-        places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
+        # A Latin hypercube (McKay, Beckman & Conover 1979) of source and receivers.
+        cells = [rng.permutation(self.setups) for _ in range(3 * (1 + _RECEIVERS))]
+        places = (
+            np.stack(cells, axis=1) + rng.uniform(size=(self.setups, len(cells)))
+        ) / self.setups
         alphas = draw_alpha(case, rng, self.setups)
         ranges = dict.fromkeys(SCATTERING, OF_PROGRAMS) if case.program else SCATTERING
         scattering = self._scattering(rng, ranges)
@@ -349,12 +353,6 @@ class Engine:
         guessed = np.array([s for s, _ in scattering]) * GUESSED ** (2 * even - 1)
         models = [model for _, model in scattering]
         return list(zip(np.minimum(guessed, high).tolist(), [*models[1:], models[0]], strict=True))
-
-
-def _spread_evenly(rng: np.random.Generator, n: int, dimensions: int) -> Array:
-    """Return a Latin hypercube of points, (n, dimensions), from 0 to 1 (McKay et al. 1979)."""
-    cells = np.stack([rng.permutation(n) for _ in range(dimensions)], axis=1)
-    return np.asarray((cells + rng.uniform(size=cells.shape)) / n)
 
 
 def _places(sides: Array, places: Array) -> tuple[tuple[float, ...], dict[str, tuple[float, ...]]]:

@@ -540,10 +540,11 @@ def gap_against(name: str, gap: GapCheck) -> Reason | None:
     return None
 
 
-def _schroeder_limit(case: Case, times: Array) -> float:
-    """Return Schroeder's frequency in Hz for a configuration's T."""
-    middle = mid_frequency_time(times, case.room.centre_frequencies)
-    return float(schroeder_frequency(np.array(middle), case.room.volume))
+def _schroeder_limits(case: Case) -> list[float]:
+    """Return Schroeder's frequency in Hz of each configuration."""
+    times = [c.measured.reverberation_time for c in case.configurations]
+    middle = [mid_frequency_time(t, case.room.centre_frequencies) for t in times]
+    return [float(schroeder_frequency(np.array(t), case.room.volume)) for t in middle]
 
 
 def _decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | None:
@@ -551,8 +552,7 @@ def _decided_below_schroeder(evidence: MeansEvidence, name: str) -> Reason | Non
     problem, nats = evidence.problem, evidence.nats(name)
     case, observed = problem.case, problem.observed
     frequencies = case.room.centre_frequencies
-    limits = [_schroeder_limit(case, c.measured.reverberation_time) for c in case.configurations]
-    low = frequencies < np.array(limits)[:, None]
+    low = frequencies < np.array(_schroeder_limits(case))[:, None]
     used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
     if not low.any() or (used == observed.used).all() or not used.any():
         return None
@@ -694,9 +694,8 @@ def _off_levels(problem: MeansProblem) -> list[Reason]:
 def _notes(case: Case) -> list[Reason]:
     """Return reasons to doubt the result, whatever it is."""
     out, frequencies = list[Reason](), case.room.centre_frequencies
-    for c in case.configurations:
+    for c, limit in zip(case.configurations, _schroeder_limits(case), strict=True):
         where = {"configuration": c.name}
-        limit = _schroeder_limit(case, c.measured.reverberation_time)
         if (low := frequencies < limit).any():
             values = {**where, "bands": bands.labels(frequencies[low]), "limit": limit}
             out.append(Reason("Schroeder", values))

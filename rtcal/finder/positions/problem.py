@@ -140,14 +140,12 @@ class Sizes:
 class ShiftHypothesis(Sizes):
     """Hold hypotheses that the room differs from the model, which changes the simulated values."""
 
-    response: str
-    """Which of the responses is interpolated."""
+    response: str  # which of the responses is interpolated
     weights: Array
     """Shift of band k is weights[:, k] @ the response's nodes of band k, (n_hypotheses, n_bands,
     n_nodes)."""
     parameters: Sequence[Parameters]
-    error: Array
-    """Covariance of the relative error of the change, band by band, (n_bands, n_bands)."""
+    error: Array  # covariance of the relative error of the change, band by band, (n_bands, n_bands)
     spectra: Array
     """Alpha of what stands on the surface, (n_hypotheses, n_bands); empty for the whole room."""
     uneven: Array
@@ -155,10 +153,8 @@ class ShiftHypothesis(Sizes):
     (n_hypotheses,)."""
     size_error: float = 0.0
     """Standard deviation of ln size that the effect's description leaves open."""
-    part: int | None = None
-    """Number of the part of the surface; None for all of it."""
-    divisible: bool = False
-    """Whether it may stand on a part of its surface alone."""
+    part: int | None = None  # number of the part of the surface; None for all of it
+    divisible: bool = False  # whether it may stand on a part of its surface alone
 
     def some(self, which: Any) -> ShiftHypothesis:
         """Return some of the hypotheses, by a slice or by flags."""
