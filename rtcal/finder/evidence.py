@@ -8,9 +8,6 @@ needs r' C⁻¹ r, U' C⁻¹ r and U' C⁻¹ U alone (`with_columns`), and the f
 means (`student`), normal up to the number of values by positions (`bounded`), and normal for the
 surfaces between two states.
 
-Every number of the prior is an assumption. It decides where the data do not. The odds are an argument
-of `rtcal.find`; an effect states its own in its class.
-
 Coefficients may err together: by a factor and a tilt over frequency, for all and per material. The
 usual amount of such errors (`rtcal.acoustics.room_errors`) belongs to every hypothesis. Coefficients
 that are *off together* err by several times as much (`SCALES`): heavy tails.

@@ -1,30 +1,21 @@
 """What changed between two states of one room: added or removed absorption, the climate, and where.
 
-Absorption was added or removed, the climate of the air is another, or both, or neither.
-
 ln T of a pair shifts by m + e. m is the shift of all pairs: the predicted one, with the errors of the
 spectrum and of the equation, what a remeasurement adds by itself, and what another climate adds, which
-is as uncertain as both climates (`_climate_covariance`). e is what the pair has alone: noise of both
-states, and a share of the shift. The noise of each pair has a scale of its own, so that e
-follows a multivariate t distribution over the pair's bands; all pairs together have a further one. The
-integral over m is Laplace's at the mode that Gauss-Newton steps find.
-
-The change is not small: it is no shift on a linear scale, as positions have it, and it has no prior of
-coefficients, as means have it. So neither likelihood of theirs serves.
+is as uncertain as both climates. e is what the pair has alone: noise of both states, and a share of
+the shift. The noise of each pair has a scale of its own, so that e follows a multivariate t
+distribution over the pair's bands; all pairs together have a further one. The integral over m is
+Laplace's at the mode that Gauss-Newton steps find (docs/two_states.md).
 
 Two states that are exchanged have the same answer, with "added" and "removed" exchanged and all changes
-of the other sign. So the state of the longer T is the first in every search, and what is added then is
-named "removed" where it was measured second. Where both are the same, the answer is half of each.
+of the other sign. So the state of the longer T is the first in every search. Where both are the same,
+the answer is half of each.
 
-Every pair's differences say on which surface something changed, where the directivities are known. The
-coefficients are scaled to T before. Then sets of surfaces absorb more, each with a share of the
-way to alpha = 1 that goes through the bands as a random walk, and the same paths are weighed with them.
-In the difference of two weighings the simulator's error and the coefficients' cancel to first order.
-Each set is weighed with the same climate in both states and with another one, whose error is taken as
-independent from band to band.
-
-T and an absolute level are tied. A source whose level shifts otherwise than T says has another gain in
-the two states, and its level is left out.
+For the surfaces, coefficients are scaled to T before. Then sets of surfaces absorb more, each with a
+share of the way to alpha = 1 that goes through the bands as a random walk, and the same paths are
+weighed with them, so that the simulator's error cancels to first order. Each set is weighed with the
+same climate in both states and with another one. A source whose level shifts otherwise than T says has
+another gain in the two states, and its level is left out.
 """
 
 from __future__ import annotations

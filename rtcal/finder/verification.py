@@ -1,16 +1,13 @@
 """Whether the model predicts better with what was found, at data that it was not fitted to.
 
-Calibration changes alpha until T fits, whatever effect is missing. So a smaller gap in what was fitted
-proves nothing, and the gap is that of data that were held out. A gap that shrinks there shows that the
-model is better, not that the name is right: a rival that does the same would shrink it too.
+Calibration changes alpha until T fits, whatever effect is missing, so the gap is that of data that were
+held out. A gap that shrinks there shows that the model is better, not that the name is right.
 
 Of means over positions these are C80 and G, and each configuration but the first: the effect is fitted
-anew to the rest, both models are calibrated to the rest, and the part is predicted. T20, EDT and T30 of
-one configuration leave nothing to hold out: the shape of a decay fits a coupled room, a field that is
-not diffuse and a noise floor alike. Of a case with further parameters or bands these are held out, and
-the effect stays as it was found. At positions and of two states half of the pairs search again, and the
-others are predicted: at positions by a model that is traced and calibrated anew, of two states by the
-shift of ln T.
+anew to the rest, both models are calibrated to the rest, and the part is predicted. Of a case with
+further parameters or bands these are held out, and the effect stays as it was found. At positions and
+of two states half of the pairs search again, and the others are predicted: at positions by a model that
+is traced and calibrated anew, of two states by the shift of ln T.
 
 What the user's program gives of the corrected model may take the place of that model. Each run is moved
 by what a calibration changes, of means by the equation and at positions by the tracer: the coefficients

@@ -2,38 +2,26 @@
 
 A hypothesis is an effect with one set of parameter values, in each configuration of the room. The
 compared values y (features) are ln T20, ln EDT/T20, ln T30/T20, C80 and G by configuration and band.
-The marginal likelihood of an effect k is, over its sets of parameter values theta with probability p,
+docs/discrepancy_method.md has the marginal likelihood, with the covariance
 
-    log E_k = log sum p(theta) N(y; y_k(theta) + bias, C)
     C = J Sigma J' + R + D + M + B.
 
-J Sigma J' is the covariance from the input uncertainty of alpha, and R that of the measurement. Bias
-and D are mean and covariance of the equation's error in reference rooms. M is the error of the effect's
-equation, in proportion to the change by the effect (after Kennedy & O'Hagan 2001): `_misfit`. B is the
-change of the decay's shape by the effect's position (`SHAPE_CHANGE`). N is Student's t with covariance
-C (`rtcal.finder.evidence.student`). Each hypothesis is evaluated twice: with the input coefficients,
-where C has the usual error F F' that all coefficients have in common, and with a larger common error s²
-F F' for several factors s (`rtcal.finder.evidence`).
+M is the error of the effect's equation, in proportion to the change by the effect (after Kennedy &
+O'Hagan 2001): `_misfit`. B is the change of the decay's shape by the effect's position
+(`SHAPE_CHANGE`). The density is `rtcal.finder.evidence.student`. Each hypothesis is evaluated twice:
+with the usual error F F' that all coefficients have in common, and with s² F F' for several s.
 
-The threshold is the score that rooms with nothing missing reach by chance (parametric bootstrap). Each
-such room has random coefficients, the error of the equation in a reference room, and noise of the
-measurement. One half of the reference rooms gives bias and D, and the rooms are drawn from the other
-half; the few rooms of image sources are not divided. T20 of the first configuration and all data have a
-threshold each (`steps`), because a single score of all data would dilute what T20 shows. 5 % of the
-rooms exceed one of the two (smallest p-value, Westfall & Young 1993).
+The threshold is the score that rooms with nothing missing reach by chance (parametric bootstrap). One
+half of the reference rooms gives bias and D, and the rooms are drawn from the other half; the few rooms
+of image sources are not divided. T20 of the first configuration and all data have a threshold each
+(`steps`), because a single score of all data would dilute what T20 shows. 5 % of the rooms exceed one
+of the two (smallest p-value, Westfall & Young 1993).
 
-A combination of effects is a set of hypotheses of different effects. There are some 200,000 pairs, so
-all are first evaluated approximately, from the changes that each effect causes alone (`Screen`). The
-best parameter values of each two effects are then evaluated with both in the model. With C = L L' the
-covariance without effects, M = U U' and W = L⁻¹ U, a pair costs one system of a few rows (Woodbury)
-instead of a factorisation. The likelihood of combinations has its full power, whereas the search for a
+There are some 200,000 pairs of effects, so all are first evaluated approximately, from the changes that
+each effect causes alone (`Screen`). The best parameter values of each two effects are then evaluated
+with both in the model. The likelihood of combinations has its full power, whereas the search for a
 single effect reduces the power (`rtcal.finder.evidence.COARSENING`) as a reserve for other effects that
 may be missing.
-
-The number of missing effects has a Poisson distribution up to a largest number. Given the number, the
-probability of a combination is proportional to the product of its effects' odds. The common error of
-all coefficients is possible with any combination, with a probability of its own.
-docs/discrepancy_method.md has the reasons.
 """
 
 from __future__ import annotations

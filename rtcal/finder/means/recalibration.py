@@ -2,9 +2,8 @@
 
 The observations are ln T of the configurations, as the whole model has them: with its equation, the
 decay's shape and noise that effects add. `rtcal.calibration.problem` takes Gauss-Newton steps to them
-around the QP of the prior's deviation. What the model itself errs by, alpha takes up as in any
-calibration, so that the corrected model has the measured T. alpha is from 0 to 1, and the
-configurations share coefficients. The effects keep the sizes with which they were added.
+around the QP of the prior's deviation. The configurations share coefficients, and the effects keep the
+sizes with which they were added.
 """
 
 from __future__ import annotations

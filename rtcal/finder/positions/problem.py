@@ -4,19 +4,7 @@ A hypothesis has a place: a surface or part of one, the whole room, one material
 effect gives its alpha here, and its whole state to means (`rtcal.finder.means.problem`): what stands on
 a surface is traced, not calculated.
 
-A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it
-lose more than others, and T changes by more or less. Neither is known before the place is, so it is
-an error of the hypothesis, in proportion to its change of the absorption: `unevenness` times the
-shares that patches on walls of development boxes have (benchmarks/studies/pairs).
-
-How much the whole room scatters is not known, nor how far each material departs from that, nor how
-scattering depends on frequency. The first changes too much for a derivative: in a flat room T20 moves
-twice as far towards little scattering as towards much. So the room is traced at several levels, and
-every density is the mean over them (`levels`). The traced paths tell what the others change
-(`PathTracing.scattering_jacobian`), with the prior of a calibration to every position
-(`rtcal.loop.measured_pairs`). Reference simulations tell the rest.
-
-The evidence is linear in the shifts and Gaussian in the errors:
+The evidence is linear in the shifts and Gaussian in the errors (docs/where_method.md):
 
     y - f(mu) = d_h + J (alpha - mu) + e,   e of covariance R + D,
 
@@ -24,15 +12,16 @@ y is what was measured and f(mu) what is simulated as stated, d_h the shift of h
 prior of alpha and the error of d_h are integrated. All values are ordered (band, parameter, pair).
 
 A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
-depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
+depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r. All
+hypotheses share one covariance and differ in a product; those on means have a covariance each.
 
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor
 (`ShiftHypothesis.error`), and reaches pairs more or less than if it were spread evenly
-(`ShiftHypothesis.uneven`).
+(`ShiftHypothesis.uneven`): an absorber hangs somewhere, and receivers near it lose more.
 
-All hypotheses share one covariance and differ in a product. Those on means
-(`rtcal.finder.means.problem`) have a covariance each, since a closed form gives the derivatives by
-alpha of every one.
+How much the whole room scatters changes too much for a derivative. So the room is traced at several
+levels, and every density is the mean over them (`levels`). The traced paths give the changes by each
+material's scattering (`PathTracing.scattering_jacobian`), and reference simulations give the rest.
 """
 
 from __future__ import annotations

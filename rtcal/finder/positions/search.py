@@ -1,21 +1,15 @@
-"""Find what is other than stated in a geometry, and where.
+"""Find what is other than stated in a geometry, and where (docs/where_method.md).
 
-The positions decide; means over them tell the family, too.
-
-A noisy pair is no evidence that the room is other than stated. In rooms that lack nothing, one pair
-often errs by more than is assumed, and the other pairs do not.
-
-One effect in one place is weighed against another: a hypothesis at positions has a place, and no sets
-are formed as on means (`rtcal.finder.means.problem`).
+One effect in one place is weighed against another; no sets are formed as on means. The positions
+decide, and means over them give probabilities of the groups, too. A noisy pair is no evidence that the
+room is other than stated.
 
 With another program's run two rooms err as the reference simulations do: the real one, and that of the
 program. What then no effect explains, or what a second room or another scattering would, counts as the
-program's own, as it does on means (`rtcal.finder.claim.of_program`).
+program's own (`rtcal.finder.claim.of_program`).
 
 Something that no effect explains is no rival of the effects: a room may lack both. Its larger error is
-weighed alone and beside every effect, and is as probable in both ways, so that "unknown" has what is
-left where no effect explains the measurement better than larger errors do. Taken as a rival only, it
-won where the right surface explained most of what was measured and errors were larger than assumed.
+weighed alone and beside every effect, and is as probable in both ways.
 """
 
 from __future__ import annotations

@@ -1,14 +1,9 @@
 """The surfaces of a geometry on which something may stand, their parts, and patches on them.
 
 A mesh divides a wall into triangles. So coplanar faces of one material are one surface, unless the user
-says otherwise.
-
-At the two ends of a long wall an absorber changes the pairs differently, and it may stand at one of
-them alone. So a long surface is cut into quarters along its longer side, and every two quarters that
-touch are a part: its first half, its middle and its last half. The geometry is divided for the weighing
-only. Its faces lie in the same planes and have the same materials, so the same paths are traced in it.
-
-A patch is a part of one surface as faces of their own, in the same geometry.
+says otherwise. A long surface is cut into quarters along its longer side, and every two quarters that
+touch are a part. The geometry is divided for the weighing only: the same paths are traced in it. A
+patch is a part of one surface as faces of their own, in the same geometry.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """The shifts of every parameter at every position if something of the room is other than stated.
 
-They come from two tracings of the room, so what differs between them is their noise. They are computed
-once per room and kept.
-
 The paths of a `PathTracing` do not depend on what the walls absorb. So every change weighs the same
-paths anew, and their random numbers cancel in the difference.
+paths anew, and their random numbers cancel in the difference. The shifts come from two tracings of the
+room, so what differs between them is their noise. They are computed once per room and kept.
 
 An aperture to a second room takes energy as an opening of its area does. The second room gives a part
 of it back, late and everywhere: two energy balances (Kuttruff 2016, Sect. 5.8; Cremer & Mueller 1982),
@@ -16,27 +14,10 @@ a source, convolved with h(t), is what comes back to all of them:
 
     h(t) = b1 b2 (exp(s1 t) - exp(s2 t)) / (s1 - s2),   s = -(k1 + k2)/2 ± sqrt((k1 - k2)²/4 + b1 b2).
 
-Sources may have another directivity and gain beside what is stated of them.
-
-Sources of which nothing is stated are omnidirectional, or loudspeakers that are aimed. A lobe moves the
-level and the early parameters, and T hardly at all. So does much that a room may lack: taken as
-omnidirectional, twelve aimed loudspeakers in a laboratory with nothing hidden passed for a second room
-(benchmarks/studies/pairs). So what is detected with omnidirectional sources is compared with the same
-where the sources have some lobe. It is an error of what is simulated: its index is of the order of
-`LOBE_INDEX` and varies from band to band, its aim is any, and all sources may aim at the receivers
-together. The evidence is the mean of both. Where lobes are certain, the directivities are unknown.
-
-A stated index says how strong a lobe is, to some dB, and little of its shape. Taken as exact in a box
-with ten loudspeakers and nothing hidden, an index that is 1.5 dB off gives more than 20 nats for
-another volume or a displaced source (tests/test_where_unstated_sources.py). So a source with a stated
-index is tried with another one, too. What then agrees with nothing that is tried ("unknown") may be the
-lobes' shape, and is no finding of the room.
-
-G needs a calibrated source, and its calibration may be wrong by more than the uncertainty of a right
-one. In a box of another's tracer with nothing hidden, G that was 2 dB off gave 18 nats for another
-volume; one that was 1 to 3 dB off by source and band gave 85 nats for a second room. So what is
-detected with G is the mean of three likelihoods: as calibrated, with another gain, and with one in each
-band.
+Sources may have another directivity and gain than stated (docs/where_method.md). A lobe moves the level
+and the early parameters, and T hardly at all, as much does that a room may lack: `lobes`. Whether G is
+calibrated rightly is the mean of three likelihoods: as calibrated, with another gain, and with one in
+each band.
 """
 
 from __future__ import annotations
