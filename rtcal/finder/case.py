@@ -505,10 +505,7 @@ class Case:
 
     @cached_property
     def directions_known(self) -> bool:
-        """Whether it is known in which direction the surfaces face that absorb most in this room.
-
-        If it is not known, effects that depend on these directions are not tried.
-        """
+        """Whether it is known where the surfaces face that absorb most, as some effects need."""
         return enough_known(self.room, self.facing)
 
     @classmethod
@@ -537,10 +534,7 @@ class Case:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the case as nested plain values, which `from_dict` reads.
-
-        Raises DataError if an effect that was added to the case is not in rtcal's library.
-        """
+        """Return the case as plain values for `from_dict`; DataError for an effect of your own."""
         if custom := [p.name for p in self.applied if p.effect not in library()]:
             raise DataError(
                 f'effect "{custom[0]}" is not in rtcal\'s library, so a case with it cannot be '
@@ -558,10 +552,7 @@ class Case:
 
     @classmethod
     def from_file(cls, path: str) -> Case:
-        """Return the case that is described in a TOML or JSON file; `rtcal.finder.case` lists its keys.
-
-        Raises DataError, whose message names the file and the rule that it breaks.
-        """
+        """Return the case of a TOML or JSON file; a DataError names the file and the broken rule."""
         with expecting("a case", path):
             return cls.from_dict(_content(path), Path(path).parent)
 
@@ -570,10 +561,7 @@ class Case:
         write_text(path, self.to_json())
 
     def to_json(self, caution: str = "") -> str:
-        """Return the JSON text that `save` writes.
-
-        The text ``caution`` is its first entry, for whoever opens the file; with "" there is none.
-        """
+        """Return the text that `save` writes, with ``caution`` as its first entry if there is one."""
         head = {"caution": caution} if caution else {}
         return json.dumps(head | self.to_dict(), indent=1, allow_nan=False) + "\n"
 
@@ -848,10 +836,7 @@ class PositionsCase:
         )
 
     def only(self, pairs: Sequence[Pair]) -> PositionsCase:
-        """Return the case with only the source-receiver ``pairs``, each a source and a receiver name.
-
-        Raises DataError for a pair that was not measured.
-        """
+        """Return the case with only the given source-receiver pairs; DataError for one not measured."""
         wanted = checks.pairs("pairs", pairs)
         if lacking := [p for p in wanted if p not in self.pairs]:
             raise DataError(f"pairs has {' to '.join(lacking[0])}, which is not in the case")
@@ -1043,10 +1028,10 @@ class StatesCase:
 
     @property
     def falls(self) -> bool:
-        """Whether T is shorter after the change than before it, on average over bands and pairs.
+        """Whether T is shorter after the change, by the mean of ln(T after / T before).
 
-        The average is that of ln(T after / T before), and each value is weighted by the inverse of its
-        noise variance. If the average is exactly 0, the first ratio other than 1 decides.
+        Values are weighted by the inverse of their noise variance; if the mean is 0, the first
+        ratio other than 1 decides.
         """
         mean = np.nansum(self.change / self.variance)
         if mean == 0 and not self.same:

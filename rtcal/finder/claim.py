@@ -402,10 +402,7 @@ class Candidate:
 
     @property
     def middle(self) -> Point | None:
-        """Middle (x, y, z) in m of the part of the surface that is most probable.
-
-        None if no part has at least half of the candidate's probability.
-        """
+        """Middle (x, y, z) in m of the part of the surface with half of the probability, or None."""
         middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
         return middle if probability >= LOCATED * self.probability else None
 
@@ -477,20 +474,14 @@ class Detection:
 
     @property
     def deciding(self) -> str | None:
-        """Name of the part of the data that alone detects a difference.
-
-        None if all data together detect one, or if no part does.
-        """
+        """Name of the part of the data that alone detects a difference; None if no part does."""
         excess = {words: part.score - part.threshold for words, part in self.parts.items()}
         most = max(excess, key=lambda words: excess[words], default="")
         return most if self.score <= self.threshold and excess.get(most, 0.0) > 0 else None
 
     @property
     def verdict(self) -> str | None:
-        """Verdict if nothing is detected: "hint" if a score is above 0, else "none".
-
-        None if something is detected.
-        """
+        """Verdict if nothing is detected: "hint" for a score above 0, else "none"; or None."""
         if self.score > self.threshold or self.deciding is not None:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"

@@ -141,42 +141,24 @@ class Effect(ABC):
 
     @property
     def kinds(self) -> list[Parameters]:
-        """Every combination of the values that are tried, for parameters that list such values.
-
-        Each combination maps names to values. If no parameter lists values, there is one empty
-        combination.
-        """
+        """Every combination of the tried values of parameters, by name; one empty one without any."""
         tried = {name: of.tried for name, of in self.parameters.items() if len(of.tried)}
         return [dict(zip(tried, values, strict=True)) for values in product(*tried.values())]
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return the combinations of parameter values that are tried in a room.
-
-        By default they are `kinds`, the same in every room. ``state`` is the room without the effect.
-        """
+        """Return the parameter sets that are tried in a room without the effect; by default `kinds`."""
         return self.kinds
 
     @abstractmethod
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the state of the room with the effect added.
-
-        ``state`` is the room without the effect. ``parameters`` has a value for each of the effect's
-        parameters, its size included, by the parameter's name.
-        """
+        """Return the state of the room with the effect added, by values for each of its parameters."""
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the states of the room with the effect, one per combination of parameter values.
-
-        ``state`` is the room without the effect, and ``grid`` has the combinations.
-        """
+        """Return the states of the room with the effect, one per parameter set."""
         return [self.change(state, theta) for theta in grid]
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return alpha of the effect on a surface, for each combination of values that is tried.
-
-        Each item has the parameter values by name and alpha (n_bands,). ``frequencies`` (n_bands,) are
-        in Hz. By default there is none, and the effect is not tried on surfaces.
-        """
+        """Return parameter values and alpha (n_bands,) of what is tried on a surface, if any."""
         return []
 
     def density(self, parameters: Mapping[str, Array], state: RoomState) -> Array | float:
@@ -190,11 +172,7 @@ class Effect(ABC):
         return 1.0
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the lowest and highest possible value of each parameter in a room, by name.
-
-        If ``room`` is None, these are the limits in any room. A parameter that is not in the result may
-        have any value.
-        """
+        """Return the ends of parameters that have any, by name, in a room or (None) in any room."""
         return {name: of.within for name, of in self.parameters.items()}
 
     def size_limits(self, room: Room) -> tuple[float, float]:
@@ -202,41 +180,24 @@ class Effect(ABC):
         return self.limits(room).get(self.size, (-inf, inf))
 
     def prior_odds(self, room: Room) -> float:
-        """Return how probable this effect is before the measurement, relative to a usual effect.
-
-        Most effects of the library have 1; an effect with 0.5 is half as probable. By default the
-        result is `odds`, whatever the ``room``.
-        """
+        """Return how probable the effect is before the measurement, relative to a usual effect."""
         return self.odds
 
     def title(self, parameters: Parameters, room: Room) -> str:
-        """Return the effect's name for a sentence, such as ``area of "plaster"``.
-
-        ``parameters`` are the values by name, and ``room`` has the names of the materials.
-        """
+        """Return the effect's name for a sentence, such as ``area of "plaster"``."""
         material = self.material(parameters, room)
         return self.name if material is None else f'{self.name} of "{material}"'
 
     def material(self, parameters: Parameters, room: Room) -> str | None:
-        """Return the name of the material that the effect is about, such as that with a wrong area.
-
-        ``parameters`` are the values by name. None if the effect is not about one material of the
-        ``room``.
-        """
+        """Return the name of the material that the effect is about, or None."""
         return None
 
     def unit_in(self, parameters: Parameters, room: Room) -> str:
-        """Return the unit of the effect's size in a room; by default `unit`.
-
-        ``parameters`` are the values by name.
-        """
+        """Return the unit of the effect's size in a room; by default `unit`."""
         return self.unit
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
-        """Return the parameter values as text, such as "thickness 0.06 m, flow resistivity ...".
-
-        The material and the parameter named ``without`` are left out.
-        """
+        """Return the parameter values as text, without the material and the one named ``without``."""
         known = {self.size: Parameter(unit=self.unit), **self.parameters}
         in_order = [*self.parameters, *(name for name in parameters if name not in self.parameters)]
         return ", ".join(
@@ -250,11 +211,7 @@ class Effect(ABC):
         return False
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:
-        """Return the air of the room with the effect.
-
-        By default it is ``stated``, the room's own air, None if it does not count. ``parameters`` are
-        the values by name.
-        """
+        """Return the air of the room with the effect; by default the room's own, which may be None."""
         return stated
 
     def errors_over_bands(self, frequencies: Array) -> Array:
@@ -273,11 +230,7 @@ class Effect(ABC):
         return np.concatenate([smooth, rough * np.linalg.cholesky(0.5**lag)], axis=1)
 
     def error_over_bands(self, frequencies: Array) -> Array:
-        """Return the covariance of the effect's error between bands, (n_bands, n_bands).
-
-        The error is that of the effect's equation, relative to the change of T20, C80 and G that the
-        effect causes (`errors_over_bands`). ``frequencies`` (n_bands,) are in Hz.
-        """
+        """Return the covariance of the errors of `errors_over_bands`, (n_bands, n_bands)."""
         errors = self.errors_over_bands(frequencies)
         return np.asarray(errors @ errors.T)
 
@@ -326,25 +279,14 @@ class Absorber(AbsorbingObject):
 
     @abstractmethod
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return the absorption coefficient alpha of the absorber, (n_bands,), whatever its area.
-
-        ``frequencies`` (n_bands,) are in Hz, and ``parameters`` are the values by name.
-        """
+        """Return alpha of the absorber, (n_bands,), at frequencies in Hz, whatever its area."""
 
     def limits(self, room: Room | None) -> Limits:
-        """Return the limits of all parameters; the area is from 0 to that of all surfaces, in m².
-
-        The surfaces are those of ``room``; if it is None, the limit is the largest area that rtcal
-        allows for any room.
-        """
+        """Return the limits of all parameters; the area is from 0 to that of all surfaces, in m²."""
         return {**super().limits(room), self.size: (0.0, _all_surfaces(room))}
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
-        """Return alpha of the absorber on a surface, for each combination of values in `kinds`.
-
-        Each item has the parameter values by name and alpha (n_bands,). ``frequencies`` (n_bands,) are
-        in Hz.
-        """
+        """Return alpha of the absorber on a surface, (n_bands,), for each of its `kinds`."""
         return [(kind, self._checked_alpha(frequencies, kind)) for kind in self.kinds]
 
     def _checked_alpha(self, frequencies: Array, parameters: Parameters) -> Array:
@@ -362,17 +304,11 @@ class Absorber(AbsorbingObject):
         return alpha
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
-        """Return the state of the room with the absorber in place of an equal area of wall.
-
-        ``state`` is that without the absorber, and ``parameters`` are the values by name.
-        """
+        """Return the state of the room with the absorber in place of an equal area of wall."""
         return self.changes(state, [parameters])[0]
 
     def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
-        """Return the states of the room with the absorber, one per combination of parameter values.
-
-        ``state`` is that without the absorber, and ``grid`` has the combinations.
-        """
+        """Return the states of the room with the absorber, one per parameter set."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
         others = [name for name in grid[0] if name != self.size]

@@ -232,10 +232,7 @@ class Finding(Result):
 
     @property
     def best_effect(self) -> str | None:
-        """Name of the most probable effect, which may be "coefficients" or "unknown".
-
-        None if the verdict is "none".
-        """
+        """Name of the most probable effect, "coefficients" or "unknown"; None if nothing is missing."""
         return None if self.best is None else self.best.effect
 
     @property
@@ -256,10 +253,7 @@ class Finding(Result):
 
     @property
     def score(self) -> float:
-        """Natural logarithm of the Bayes factor that something is missing or changed.
-
-        Something is detected if it exceeds ``threshold``.
-        """
+        """Natural logarithm of the Bayes factor that something is missing or changed."""
         return self.detection.score
 
     @property
@@ -274,10 +268,7 @@ class Finding(Result):
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """Probabilities that 0, 1, 2, ... effects are missing from the model.
-
-        For means over positions; for other data they have no meaning.
-        """
+        """Probabilities that 0, 1, 2, ... effects are missing from the model, for means."""
         return numbers_of(self.sets)
 
     @property
@@ -287,29 +278,18 @@ class Finding(Result):
 
     @property
     def likely_sets(self) -> dict[Names, float]:
-        """Probability of each combination of effects that has at least 0.03.
-
-        Each combination is a tuple of names. Empty unless combinations of two or more effects were
-        tried.
-        """
+        """Probability of each combination of effects with at least 0.03; empty for single effects."""
         return {s: p for s, p in self.sets.items() if p >= SAID} if self.more_than_one else {}
 
     @property
     def family_sets(self) -> dict[Names, float]:
-        """Probability of each combination of groups of effects, such as an absorber and a second room.
-
-        For means over positions; empty for other data. All kinds of "added absorption" count as one
-        group.
-        """
+        """Probability of each combination of groups of effects, for means."""
         sets = self.sets if self.kind == "means" else {}
         return summed((families_of(names, self.effects), p) for names, p in sets.items())
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """Error that all input coefficients have in common, in addition to the most probable effects.
-
-        None if such an error has a probability below 0.5, or if positions or two states were compared.
-        """
+        """Error that all input coefficients have in common beside the effects, None below 0.5."""
         of = self.candidate(self.members[-1]) if self.members else None
         return None if of is None else of.coefficients
 
@@ -325,10 +305,7 @@ class Finding(Result):
 
     @property
     def likely_surfaces(self) -> Names:
-        """Names of the most probable surfaces, whose probabilities together reach 0.7.
-
-        Empty if the probability that anything is missing on a surface is below 0.03.
-        """
+        """Names of the most probable surfaces, whose probabilities together reach 0.7."""
         if sum(c.probability for c in self.candidates if c.surface is not None) < SAID:
             return ()
         before = np.cumsum([0.0, *self.surfaces.values()])
@@ -358,11 +335,7 @@ class Finding(Result):
 
     @property
     def spectrum(self) -> str:
-        """Trend of the change of absorption over frequency, for two states.
-
-        The text is "rising with frequency", "falling with frequency" or "alike at all frequencies"; ""
-        for a single band and for other data.
-        """
+        """Trend of the change of absorption between two states over frequency; "" for a single band."""
         change = np.atleast_2d(self.change)[0]
         change = change[np.isfinite(change)]
         return over_frequency(change) if len(change) > 1 else ""

@@ -148,10 +148,7 @@ class RoomState:
 
     @property
     def directions_known(self) -> bool:
-        """Whether it is known in which direction any material faces.
-
-        It is unknown if the shares of all areas along x, y and z are 1/3.
-        """
+        """Whether it is known in which direction any material faces; else all shares are 1/3."""
         return not np.allclose(self.facing, 1 / 3)
 
     @property
@@ -180,10 +177,7 @@ class RoomState:
         return np.asarray(np.where(self.walls, self.areas, 0.0) @ self.alpha / self.total_area)
 
     def covered(self, area: float, spectrum: Array) -> RoomState:
-        """Return the state with an area of wall in m² replaced by a cover with alpha ``spectrum``.
-
-        ``spectrum`` is (n_bands,). The wall behind the cover has the mean absorption of all surfaces.
-        """
+        """Return the state with an area of wall in m² replaced by a cover of alpha (n_bands,)."""
         return covered([self], np.array([area]), np.asarray(spectrum)[np.newaxis])[0]
 
     def with_objects(self, absorption_area: Array) -> RoomState:

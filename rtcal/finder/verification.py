@@ -276,8 +276,8 @@ class Verification(Result):
     def found_elsewhere(self) -> tuple[list[Candidate | None], bool]:
         """Other effects that halves of the pairs found, and whether they contradict the finding.
 
-        They contradict it if their group is another one, with all added absorption as one group, or if
-        the finding identifies a surface and they are on one that these positions distinguish from it.
+        They do if their group is another one, or if the finding identifies a surface and they are
+        on one that these positions distinguish from it.
         """
         found = (self.contained or self.finding.likeliest) if self.added else None
         if found is None:
@@ -306,10 +306,7 @@ class Verification(Result):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the verification as plain values for JSON.
-
-        ``gaps_jnd`` are `sizes`, averaged over the seeds.
-        """
+        """Return the verification as plain values for JSON; deviations are means over the seeds."""
         calibrated = {"uncorrected": self.uncorrected, "corrected": self.corrected}
         return {
             "verdict": self.verdict,

@@ -74,19 +74,12 @@ class ControlRooms:
 
     @property
     def estimates_bias(self) -> bool:
-        """Whether the mean of these errors counts as an estimate of the equation's mean error.
-
-        It does not for image sources, which have no scattering; of their errors only the scatter
-        counts.
-        """
+        """Whether the mean of these errors counts: not of image sources, which have no scattering."""
         return self.engine not in ENGINES or ENGINES[self.engine].estimates_bias
 
     @property
     def mean(self) -> Array:
-        """Mean of the errors over the reference rooms, (n_configurations, 5, n_bands).
-
-        Values that are not finite are left out; without any finite value the mean is 0.
-        """
+        """Mean of the finite errors over the reference rooms, (n_configurations, 5, n_bands)."""
         finite = np.isfinite(self.errors)
         total = np.where(finite, self.errors, 0).sum(0)
         return np.asarray(total / np.maximum(finite.sum(0), 1))

@@ -73,10 +73,7 @@ class Recalibrated(Result):
 
     @cached_property
     def sigma(self) -> Array:
-        """Standard uncertainty of the calibrated alpha, (n_materials, n_bands).
-
-        It is valid only if the effects in the model, their parameters and sizes are right.
-        """
+        """Standard uncertainty of alpha, (n_materials, n_bands), if the effects are right."""
         return np.asarray(self.joint.posterior_sigma[: self.case.room.n_materials])
 
     @property
@@ -111,11 +108,7 @@ class Recalibrated(Result):
         return {p.name: p.size for p in self.case.applied if np.isfinite(p.effect.neutral)}
 
     def blocks(self, plain: Recalibrated | None = None) -> list[Block]:
-        """Return tables of each material's input and calibrated alpha, and of the effects.
-
-        ``plain`` is the calibration without the effects, whose alpha is shown as well; None leaves it
-        out.
-        """
+        """Return tables of each material's alpha, with a ``plain`` calibration's, and of effects."""
         made: list[Block] = import_module(WORDS).of_recalibration(self, plain)
         return made
 
