@@ -19,7 +19,7 @@ from __future__ import annotations
 import inspect
 import os
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
@@ -483,16 +483,22 @@ def _of_means(
             f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; "
             f"it must have those of the finding, {len(own.configurations)} in {own.room.n_bands}"
         )
-    _refuse_alone(simulated, calibrated)
+    start, *further = case.configurations
+    given = {"calibrated": calibrated, "simulated": simulated}
+    second, notes = _second_runs(start.simulated, start.measured, FEATURES, given)
+    if further:
+        named = ", ".join(f'"{c.name}"' for c in further)
+        notes += (
+            f"Configurations that were not compared: {named}. The second run counts as one of "
+            f'"{start.name}" alone.',
+        )
     runs = [
-        None if of is None else _second_run(case, of, corrected=of is simulated)
-        for of in (calibrated, simulated)
+        None if whole is None else _features_of_run(case, of, second[of], whole)
+        for of, whole in given.items()
     ]
     best = next(c for c in finding.candidates if c.effect == name)
-    before, after = (
-        plain(case),
-        recalibrate(finding.with_effects(case, [best]), finding.discrepancy),
-    )
+    before = plain(case)
+    after = recalibrate(finding.with_effects(case, [best]), finding.discrepancy)
     bias = finding.discrepancy.bias.reshape(used.shape)
     bias = bias if simulated is None else 0.0 * bias  # a run has none: it is what the program gave
     # Plain calibration has bent alpha for the model's bias in T as well.
@@ -502,9 +508,7 @@ def _of_means(
     for run in runs:
         measured = measured if run is None else np.where(np.isnan(run), np.nan, measured)
     moved = runs[1]
-    if (
-        moved is not None and runs[0] is None
-    ):  # both runs are moved to the measured T, or neither is
+    if moved is not None and runs[0] is None:  # both are moved to the measured T, or neither is
         moved = _moved(after, moved)
 
     def last(corrected: Recalibrated) -> Array:
@@ -517,7 +521,7 @@ def _of_means(
     gaps, counted = gaps_of(after), np.zeros_like(used)
     parts = _parts_of(case, used, fitted)
     errors, nats, held_out = list[float](), list[float](), list[str]()
-    first = case.configurations[0].simulated
+    first = start.simulated
     without = calibrated if first is None or calibrated is not None else first.simulated
     compared = [of for of in (without, simulated) if of is not None]
     effects = [finding.effects[name]] if name in finding.effects else []
@@ -576,18 +580,9 @@ def _of_means(
         models=OF_RUNS,
         endured=made.needed,  # the program has a noise of its own
         runs=OF_RUNS[:1] if runs[0] is None else OF_RUNS,
-        notes=_lacking(case, [m for m in (calibrated, simulated) if m is not None]),
+        notes=notes,
         again=_in_jnd(runs[1] - measured).swapaxes(0, 1),
     )
-
-
-def _refuse_alone(simulated: Measurement | None, calibrated: Measurement | None) -> None:
-    """Raise DataError if only the run of the model without the correction is given."""
-    if simulated is None and calibrated is not None:
-        raise DataError(
-            "calibrated is given without simulated: add the simulation of the corrected "
-            "model as simulated"
-        )
 
 
 def _moved(corrected: Recalibrated, run: Array) -> Array:
@@ -621,57 +616,59 @@ def _noise_of_gain(
     return float(np.std(after - before))
 
 
-def _lacking(case: Case, simulated: Sequence[Measurement]) -> tuple[str, ...]:
-    """Return what second runs or the measurement lack of the parameters that are compared, as notes."""
-    first = case.configurations[0]
-    runs = [] if first.simulated is None else [Run(first.simulated.room, m) for m in simulated]
-    said = [each for run in runs for each in run.beside(first.measured).left_out(FEATURES)]
-    if others := ", ".join(f'"{c.name}"' for c in case.configurations[1:]):
-        said.append(
-            f'Configurations that were not compared: {others}. The second run counts as one of "'
-            f'{first.name}" alone.'
-        )
-    return tuple(dict.fromkeys(said))
-
-
-def _second_run(case: Case, simulated: Measurement, *, corrected: bool) -> Array:
-    """Return a second run's features, (n_configurations, n_features, n_bands); NaN without any."""
-    first = case.configurations[0]
-    run = _beside_first(first.simulated, first.measured, simulated, corrected=corrected)
-    out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
-    out[0] = features_of_values(run)
-    time, of = first.measured.time_label, "simulated" if corrected else "calibrated"
-    if run.time_label != time or np.isnan(out[0, _T20]).all():
-        has = ", ".join(map(parameter_label, simulated.values))
-        raise DataError(f"{of} has no {time}, but {time} was measured; {of} has only {has}")
-    return out
-
-
-def _beside_first(
+def _second_runs(
     first: Run | None,
     measured: Measurement,
-    simulated: Measurement,
+    keys: Sequence[str],
+    given: Mapping[str, Measurement | None],
     *,
-    corrected: bool,
     by_pair: bool = False,
-) -> Measurement:
-    """Return a second run's values of what was measured; DataError without a first run, or for it."""
-    if first is None:
-        raise DataError(
-            "the finding was made without a simulation, with which this one could be "
-            "compared. Search with simulated first"
-        )
-    run = Run(first.room, simulated).beside(measured, by_pair=by_pair).run
-    one = first.beside(measured, by_pair=by_pair).run
-    if corrected and all(
-        p in one.values and np.array_equal(one.values[p], run.values[p], equal_nan=True)
-        for p in run.values
-    ):
-        raise DataError(
-            "simulated is the same simulation as that of the search; give a simulation of "
-            "the corrected model"
-        )
-    return run
+) -> tuple[dict[str, Measurement], tuple[str, ...]]:
+    """Return a program's further runs, by name, with what was measured alone; and what they lack.
+
+    Raises DataError without a first run, for "calibrated" without "simulated", and for a run that has
+    nothing in common with the measurement or is the first one again.
+    """
+    runs, notes = dict[str, Measurement](), list[str]()
+    for name, of in given.items():
+        if of is None:
+            continue
+        if given["simulated"] is None:
+            raise DataError(
+                "calibrated is given without simulated: add the simulation of the corrected "
+                "model as simulated"
+            )
+        if first is None:
+            raise DataError(
+                "the finding was made without a simulation, with which this one could be "
+                "compared. Search with simulated first"
+            )
+        both = Run(first.room, of).beside(measured, by_pair=by_pair)
+        if not {*keys} & both.measured.values.keys():
+            raise Run(first.room, of).nothing_common(measured)
+        one = first.beside(measured, by_pair=by_pair).run
+        if name == "simulated" and all(
+            p in one.values and np.array_equal(one.values[p], values, equal_nan=True)
+            for p, values in both.run.values.items()
+        ):
+            raise DataError(
+                "simulated is the same simulation as that of the search; give a simulation of "
+                "the corrected model"
+            )
+        runs[name] = both.run
+        notes += both.left_out(keys)
+    return runs, tuple(dict.fromkeys(notes))
+
+
+def _features_of_run(case: Case, name: str, run: Measurement, given: Measurement) -> Array:
+    """Return a second run's features of a case, (n_configurations, n_features, n_bands)."""
+    out = np.full((len(case.configurations), len(FEATURES), case.room.n_bands), np.nan)
+    out[0] = features_of_values(run)
+    time = case.configurations[0].measured.time_label
+    if run.time_label != time or np.isnan(out[0, _T20]).all():
+        has = ", ".join(map(parameter_label, given.values))
+        raise DataError(f"{name} has no {time}, but {time} was measured; {name} has only {has}")
+    return out
 
 
 def _in_jnd(off: Array) -> Array:
@@ -841,8 +838,11 @@ def _at_positions(
         raise DataError(str(finding.refusal))
     _check_pairs(finding.pairs)
     case: PositionsCase = finding.case
-    _refuse_alone(simulated, calibrated)
-    simulated, calibrated = _second_run_at_pairs(case, simulated, calibrated)
+    runs = {"calibrated": calibrated, "simulated": simulated}
+    keys = [observable(name).key_in(case.measured.values) for name in case.match]
+    first = None if case.simulated is None else Run(case.room, case.simulated)
+    second, notes = _second_runs(first, case.measured, keys, runs, by_pair=True)
+    simulated, calibrated = second.get("simulated"), second.get("calibrated")
     made = None
     if simulated is not None:
         made = finding.apply(effect=effect, at=at)
@@ -917,7 +917,7 @@ def _at_positions(
         found,
         models=OF_RUNS,
         runs=OF_RUNS[:1] if calibrated is None else OF_RUNS,
-        notes=_lacking_at_pairs(case, [of for of in (calibrated, simulated) if of is not None]),
+        notes=notes,
         again=as_given[-1],
         contained=made.added,
     )
@@ -933,13 +933,6 @@ def _gaps_at(
     measured = Observations.of_measurement(case.in_room, finding.parameters, pairs)
     relative = LEVEL.key in case.measured.values
     return gap_at_pairs(simulated.at(measured).values, measured, relative=relative)
-
-
-def _lacking_at_pairs(case: PositionsCase, runs: Sequence[Measurement]) -> tuple[str, ...]:
-    """Return what second runs lack of what was compared, as notes."""
-    keys = [observable(name).key_in(case.measured.values) for name in case.match]
-    each = (Run(case.room, run).beside(case.measured, by_pair=True) for run in runs)
-    return tuple(dict.fromkeys(said for both in each for said in both.left_out(keys)))
 
 
 def _less(
@@ -1004,24 +997,6 @@ def _simulated(
         one, other = (replace(of, values=of.values + offset) for of in (before, after))
         made.append((one, other))
     return made
-
-
-def _second_run_at_pairs(
-    case: PositionsCase, simulated: Measurement | None, calibrated: Measurement | None
-) -> tuple[Measurement | None, Measurement | None]:
-    """Return the second runs in the room's bands, with what was measured alone."""
-    first = None if case.simulated is None else Run(case.room, case.simulated)
-    checked = [
-        None
-        if of is None
-        else _beside_first(first, case.measured, of, corrected=of is simulated, by_pair=True)
-        for of in (simulated, calibrated)
-    ]
-    for of in checked:
-        names = set() if of is None else {observable(p).key_in(of.values) for p in case.match}
-        if of is not None and not names & of.values.keys():
-            raise Run(case.room, of).nothing_common(case.measured)
-    return checked[0], checked[1]
 
 
 def at_positions(
