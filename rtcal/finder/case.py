@@ -864,11 +864,6 @@ class StatesCase:
     another room or does not have a measured pair; or if ``climate_uncertainty`` is given for a room
     without air.
 
-    ``room`` gives volume, areas and air. ``before`` and ``after`` are the measurements. ``equation``
-    turns T into an absorption area, by default Eyring's. ``simulator`` is an optional `PathTracing` of
-    the room, with which each surface is tried. ``climate_uncertainty`` has the standard uncertainties
-    of the temperature in K and of the relative humidity in %, in each state.
-
     Examples
     --------
     >>> import rtcal as rt

@@ -105,9 +105,8 @@ class Finding(Result):
     """Score, the ln Bayes factor for a room that differs from its model, with the threshold of this
     score."""
     reasons: tuple[Reason, ...]
-    """Reasons why the most probable effect is not identified, or only its group.
-    `rtcal.finder.claim.LEAVES` has the verdict after each reason. ``str`` of a reason is its
-    sentence."""
+    """Reasons why the most probable effect is not identified, or only its group; `LEAVES` has the verdict
+    after each. ``str`` of a reason is its sentence."""
     notes: tuple[Reason | str, ...]
     """Notes on what was left out or assumed, and cautions. A note that is a text comes from the
     measurement or the simulator."""
@@ -115,46 +114,38 @@ class Finding(Result):
     """Effects that were tried, by name."""
     candidates: tuple[Candidate, ...]
     """Effects that explain the data, the most probable first. For means: the missing effects, and those
-    that could replace one of them. At positions: every effect in every place. For two states: each kind
-    of change with a probability of 0.03 or more, such as "added porous", with its change of the
-    absorption area in m² as a mean over the bands ``middle``."""
+    that could replace one. At positions: every effect in every place. For two states: each change, such
+    as "added porous", with the change of the absorption area in m² over the bands ``middle``."""
     named: Names = ()
     """Names of the effects that are identified."""
     modelled: tuple[Measurement, ...] = ()
-    """Values of the model at the input coefficients, or the values of a program's run if one was given.
-    There is one entry per configuration for means, one entry with a row per pair at positions, none for
-    two states."""
+    """Values of the model at the input coefficients, or of a program's run: one entry per configuration
+    for means, one with a row per pair at positions, none for two states."""
     left_out: Names = ()
     """Names of the effects that were left out on your request."""
     mistake: Reason | None = None
     """Caution that the measured T is about twice or half the model's; None without it."""
     surfaces: Mapping[str, float] = field(default_factory=dict)
-    """Probability of each surface: at positions that the missing object is on it if it is on any; for
-    two states that the surface changed, empty if no surface is identified."""
+    """Probability of each surface: that the missing object is on it if it is on any; for two states that
+    it changed."""
     sets: Mapping[Names, float] = field(default_factory=dict)
-    """Probability of each combination of effects for means, () being none; for two states, of each
-    combination of surfaces that changed."""
+    """Probability of each combination of effects for means, and of changed surfaces for two states."""
     size: Size | None = None
-    """Size of the most probable effect; for two states the change of the absorption area in m², as a
-    mean over the bands ``middle``."""
+    """Size of the most probable effect, or change of the absorption area in m² over ``middle``."""
 
     named_families: Names = ()
     named_set: Names = ()
     members: Names = ()
-    """Names of the missing effects in the most probable combination, in the order in which `apply` adds
-    them, for means only. ``named_families`` are the groups that are identified, ``named_set`` the two
-    or three groups that are identified together."""
+    """Names of the missing effects in the most probable combination, for means, as `apply` adds them.
+    ``named_families`` are the groups that are identified, ``named_set`` those identified together."""
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
     """Effects that explain the data as well as a missing effect, by the name of that effect."""
     evidence: Mapping[str, float] = field(default_factory=dict)
-    """Natural logarithm of the Bayes factor over "none", of each effect alone, "coefficients" and
-    "unknown"."""
+    """ln Bayes factor over "none" of each effect alone, of "coefficients" and of "unknown"."""
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]] = ()
-    """Most probable combinations of effects with their parameters, and their probabilities, which sum
-    to 1. `rtcal.finder.plan` starts from them."""
+    """Most probable combinations of effects with parameters, with probabilities whose sum is 1."""
     alpha: Array = field(default_factory=partial(np.zeros, 0))
-    """Most probable absorption coefficients, averaged over all combinations of effects by their
-    probability, (n_materials, n_bands)."""
+    """Absorption coefficients, (n_materials, n_bands), averaged over all combinations of effects."""
     prior: Any = None
     advice: Reason | None = None
     """Next measurement that would decide; None where the data show nothing that is missing."""
@@ -164,12 +155,10 @@ class Finding(Result):
     discrepancy: Any = None
     """Error of the model itself, as bias and covariance: a `ModelDiscrepancy`."""
     not_judged: Mapping[str, str] = field(default_factory=dict)
-    """Names of effects that were not tried, each with the reason, such as unknown directions of
-    surfaces."""
+    """Names of effects that were not tried, each with the reason."""
 
     surface: str | None = None
-    """Surface that is identified at positions: the probability that something is missing on it is at
-    least 0.9, and all checks agree."""
+    """Surface that is identified at positions, with a probability of at least 0.9."""
     groups: tuple[Names, ...] = ()
     """Groups of surfaces that these positions do not distinguish."""
     map: Array = field(default_factory=partial(np.zeros, 0))
@@ -181,8 +170,7 @@ class Finding(Result):
     controls: Any = None
     """Error of the simulator, as `ControlRuns` that you can give to another search or calibration."""
     unexplained: float = 0.0
-    """Probability that the room differs from its model by something that no effect of the library
-    explains."""
+    """Probability that the room differs from its model by something that no effect explains."""
 
     area: Array = field(default_factory=partial(np.zeros, 0))
     """Absorption area of all surfaces before a change in m², by the equation, (n_bands,); NaN where T
