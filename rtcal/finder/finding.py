@@ -105,8 +105,8 @@ class Finding(Result):
     """Score, the ln Bayes factor for a room that differs from its model, with the threshold of this
     score."""
     reasons: tuple[Reason, ...]
-    """Reasons why the most probable effect is not identified, or only its group; `LEAVES` has the verdict
-    after each. ``str`` of a reason is its sentence."""
+    """Reasons why the most probable effect is not identified, or only its group; `LEAVES` has the
+    verdict after each. ``str`` of a reason is its sentence."""
     notes: tuple[Reason | str, ...]
     """Notes on what was left out or assumed, and cautions. A note that is a text comes from the
     measurement or the simulator."""
@@ -126,8 +126,8 @@ class Finding(Result):
     mistake: Reason | None = None
     """Caution that the measured T is about twice or half the model's; None without it."""
     surfaces: Mapping[str, float] = field(default_factory=dict)
-    """Probability of each surface: that the missing object is on it if it is on any; for two states that
-    it changed."""
+    """Probability of each surface: that the missing object is on it if it is on any; for two states
+    that it changed."""
     sets: Mapping[Names, float] = field(default_factory=dict)
     """Probability of each combination of effects for means, and of changed surfaces for two states."""
     size: Size | None = None

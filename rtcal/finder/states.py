@@ -290,8 +290,6 @@ class Baseline:
 
 _MOST_COVERED = 30.0
 """Largest size over the area that is left to cover or to remove: all but e^-30 of it is."""
-
-
 PAIR, COMMON = 0.15, 0.1
 """Error of a pair's shift, and of all pairs' in a band, over the predicted shift; this and what follows
 was chosen on the development part, `benchmarks/studies/states`."""

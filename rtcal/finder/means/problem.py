@@ -890,7 +890,6 @@ UNKNOWN_FEATURES = (1.0, 0.4, 0.4, 8.0, 8.0)
 """Standard deviation of each feature that an unknown effect causes, per unit of that of ln T20."""
 UNKNOWN_SMOOTH, UNKNOWN_CORRELATION = 0.6, 0.75
 """Share of an unknown effect that is smooth over bands, and its correlation from band to band."""
-
 NEGLIGIBLE = 8.0
 """Evidence in nats below the best from which a size is negligible (odds of 3000 to one)."""
 
@@ -1175,7 +1174,6 @@ DIRECT_SOUND = 6.0
 """Standard deviation of the direct sound's level in dB, in every set; alike in neighbouring octaves.
 Objects between source and receiver shade it, and the directivity of a source may be 6 dB (ISO 3382-1,
 Table 1, 4 kHz). No formula has either in it, so that C80 and G would speak for a second effect."""
-
 Members = tuple[int, ...]
 """A set of effects with their parameters: rows of `MeansHypotheses`, in the order in which they act."""
 _SETS_AT_ONCE = 256
@@ -1349,8 +1347,6 @@ def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Members, float
 
 
 MOST = 3
-
-
 KEPT = ((0.0, 0.5, 16), (1e-3, 0.99, 96))
 """Which parameters of two effects are evaluated: least probability of the pair among all pairs, share
 of the pair's probability that the most probable parameters must hold, and their greatest number."""

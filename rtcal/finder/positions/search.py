@@ -89,29 +89,19 @@ from rtcal.support.types import Array
 TEMPER = 1.25
 """Divisor of log evidences: the mean square of a hypothesis' standardised projection in reference rooms
 of development rooms. It would be 1 if few reference simulations gave their covariance without error."""
-
-
 TOLD_TEMPER = 2.0
 """Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
 often right as they say in 79 rooms that had been read. The shifts of two
 surfaces differ by less than the simulator errs by, in ways that reference simulations do not show."""
-
-
 MEANS_POWER = 0.5
 """Power of the families' probabilities by means over positions, which are multiplied into those of the
 positions, chosen in the same rooms. Both see the same T, so neither
 counts in full."""
-
-
 LEAST_BY_MEANS = 1e-3
 """Least probability of a family by means: they have other effects, and err by more than they know."""
-
-
 _NEGLIGIBLE = 15.0
 """Evidence in nats by which larger errors are less likely than those assumed, from which they are not
 weighed beside each effect."""
-
-
 _TINY = 1e-9  # prior probability below which nothing else than a noisy pair is tried
 
 
@@ -188,8 +178,6 @@ def with_families(
 THRESHOLD = 2.5
 """Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
 exceeds it without level, and 1 with it."""
-
-
 OWN = (FIELD, UNKNOWN)
 """Groups of effects that count as the own error of a program whose run is compared. With them, and with
 the error counted for two rooms, none of 64 draws of 16 empty rooms was flagged

@@ -28,7 +28,6 @@ FLAT = 0.01
 Mesh files round corners to a millimetre."""
 _HORIZONTAL = 0.7
 """Smallest vertical part of the normal of a floor or ceiling: sloped by up to 45 degrees."""
-
 Faces = NDArray[np.int64]
 
 
@@ -221,7 +220,6 @@ LARGEST_PATCH = 0.95
 2.5 % of the surface's width."""
 NEAR = 0.1
 """Largest distance in m between a point that a user gives and the surface that it is on."""
-
 Polygon = tuple[str, str, Array]
 """Name, material and corners of a face."""
 

@@ -237,7 +237,6 @@ MOVE = 0.5
 """Distance in m by which a source or receiver is displaced, along each axis and both ways."""
 _FROM_WALLS = 0.05  # least distance in m of a displaced position from a wall
 _SOURCE_PATHS = 4000  # paths from each displaced source
-
 _MORE_PATHS = 8
 """Factor of the paths to displaced places where too few of them arrive at one. In a judged room the
 search ended in an error."""
@@ -311,12 +310,9 @@ def interpolation(nodes: Sequence[float], at: Array) -> Array:
 TRACED = (-2.0, -1.0, 1.5)
 """Changes of the log odds at which the whole room is traced, from what is stated or assumed. From 0.4
 they lead to 0.08, 0.2 and 0.75."""
-
-
 _FEW_PATHS = 1600  # paths from each source that tell how long the others must be
 _SPARE = 1.15
 """By how much longer they are, since a decay's length differs between few paths and many."""
-
 BASE = 8
 """Factor of the number of paths that are weighed, besides that of `PathTracing.denser`. The shifts of
 T20, EDT and C80 differ little between the pairs: with 6000 paths per source, noise had five times the
@@ -593,17 +589,11 @@ def key_of(case: PositionsCase, seed: int) -> str:
 LOBE_INDEX = 6.0
 """Directivity index in dB of the lobes that are weighed. A measured two-way loudspeaker has 0.5 to 8 dB
 from 250 Hz to 4 kHz (R3VIVAL, CC BY 4.0)."""
-
-
 INDEX_ERROR = 2.0
 """Standard deviation in dB of a stated index, common to all sources that state one."""
-
-
 OWN_INDEX_ERROR = 0.5
 """That of each source beside the others. With 2 dB of each source's own, ten sources paid so much for
 their freedom that another volume stayed likelier."""
-
-
 AIMED = 0.04
 """Prior probability that sources have other lobes than stated: what is detected is the mean of two
 likelihoods. Taken for certain from 2.5 nats, they hid a covered wall from omnidirectional sources."""
