@@ -68,33 +68,27 @@ class Corrected:
     """Hold the model of a room with the effect that was found, as `Finding.apply` returns it."""
 
     case: Case | PositionsCase | StatesCase
-    """Case with the effects in its model, for means; you can search and recalibrate it like any
-    other."""
+    """Case with the effects in its model, for means, to be searched and recalibrated like any other."""
     room: Room
     """Room with the effect, not yet calibrated (for two states calibrated to the first state). For
-    means it has the absorption area and T of the case's model, by its equation, without what the
-    ``notes`` list. A material that was added or changed has a sigma from the interval of the size and
-    from the spectrum. With a patch a box has no dimensions, because simulators of boxes have one
-    material per wall."""
+    means it has the absorption area and T of the case's model, without what the ``notes`` list. A
+    material that was added or changed has a sigma from the size and the spectrum. With a patch a box
+    has no dimensions, because simulators of boxes have one material per wall."""
     geometry: Polyhedron | None = None
     """Geometry with the effect; None where no surface is identified."""
     surfaces: tuple[str, ...] = ()
-    """Names of the surfaces that changed, each with a new material; empty where all materials share the
-    change."""
+    """Names of the surfaces that changed, each with a new material; none if all materials share it."""
     notes: tuple[Reason, ...] = ()
-    """Notes on what the room cannot represent, such as decay shape, noise or another equation, on
-    assumptions, and on why the form differs from the one that you asked for."""
+    """Notes on what the room cannot represent, on assumptions, and on why the form is another one."""
     added: Candidate | None = None
     """Candidate that was added, at positions."""
     material: str = ""
     form: str = ""
-    """Name of the effect's material, and "patch" if it has its own faces, or "material" if the whole
-    surface has it."""
+    """Name of the effect's material; "patch" for faces of its own, "material" for the whole surface."""
     support: str = ""
     """Verdict, probability and alternatives of the effect that was added, in words."""
     caution: str = ""
-    """Reason not to use the model in simulations, from the check at held-out data; "" without one. It
-    is written at the head of the files."""
+    """Reason not to use the model in simulations, at the head of its files; "" without one."""
     model: CaseModel | None = None
     """Model of the case with its effects, as a simulator, for means."""
 

@@ -187,23 +187,20 @@ class Configuration:
     measured: Measurement
     """Means over positions of any of T20, EDT, T30, C80 and G."""
     changes: Mapping[str, ChangedMaterial] = field(default_factory=dict)
-    """Materials whose coefficients in this configuration differ from the room's, with these
-    coefficients."""
+    """Coefficients of the materials for which they differ from the room's in this configuration."""
     suspect_removed: bool = False
     """Whether the object that may be missing from the model was taken out for this measurement."""
     air: Air | None = None
     """Climate of the air during this measurement, if it differed from the room's."""
     distances: Array | None = None
-    """Distances from source to receiver in m, (n_pairs,); by default 0.66 times the cube root of the
-    volume."""
+    """Distances from source to receiver in m, (n_pairs,); by default 0.66 times cube root of volume."""
     planned: bool = False
     """Whether ``measured`` holds placeholders for a measurement that is only planned."""
     simulated: Run | None = None
-    """Values that a simulation program gave for this configuration. These values are then the model,
-    and the reverberation equation gives only their change with coefficients and effects."""
+    """Values that a simulation program gave for this configuration. They are then the model, and the
+    equation gives only their change with coefficients and effects."""
     left_out: Sequence[str] = ()
-    """Sentences on values that `in_room` leaves out, because the program's result or the measurement
-    does not have them."""
+    """Sentences on values that `in_room` leaves out, because run or measurement lacks them."""
 
     def __post_init__(self) -> None:
         where = f'configuration "{text_name("configuration: name", self.name)}"'
@@ -464,9 +461,8 @@ class Case:
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
     """Standard uncertainties of the room's climate: temperature in K, and relative humidity in %."""
     program: str = ""
-    """Kind of the program that made the simulated values, "geometrical" or "". A geometrical program
-    uses no reverberation equation, and its sound field may be uneven. Neither of these differences from
-    the equation is then taken for an error of the room's model."""
+    """Kind of the program that made the simulated values: "geometrical", whose sound field may be
+    uneven without an error of the room's model, or ""."""
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
@@ -690,26 +686,22 @@ class PositionsCase:
     coefficients."""
     measured: Measurement
     """Measurement with a row per pair, named as the simulator names sources and receivers. Repeated
-    measurements of one pair are averaged, and the case has their mean as one pair."""
+    measurements of one pair are averaged."""
     match: Sequence[str] = MATCH
     """Names of the parameters that are compared; T30 in place of T20 where only T30 was measured. Where
-    a source's directivity is unknown, only reverberation times are compared. The level is G of a
-    calibrated source where ``g`` was measured. A measured ``level`` may have any reference that all
-    receivers of a source share."""
+    a source's directivity is unknown, only reverberation times are compared. The level is G where ``g``
+    was measured; ``level`` may have any reference that all receivers of a source share."""
     simulated: Measurement | None = None
-    """Values that another program calculated for the input coefficients, in the room's bands. They
-    replace the simulator's values, and the simulator only gives their change with each surface.
-    Measured values that the program did not calculate are left out, with a note."""
+    """Values of another program for the input coefficients, in the room's bands. The simulator then
+    only gives their change with each surface. Measured values without one are left out, with a note."""
     exclude: Sequence[Pair] = ()
     """Measured source-receiver pairs that are left out."""
     surfaces: Mapping[str, Sequence[str]] | None = None
-    """Names of the faces of each surface. By default the coplanar faces of one material are one
-    surface."""
+    """Names of the faces of each surface; by default coplanar faces of one material are a surface."""
     position_uncertainty: float = POSITION
     """Standard uncertainty of the positions of sources and receivers, in m."""
     notes: Sequence[str] = ()
-    """Sentences on the data, which the finding prints. rtcal adds which pairs are repeated
-    measurements."""
+    """Sentences on the data, which the finding prints, such as on repeated measurements."""
     faces: dict[str, Faces] = field(init=False)
     """Numbers of the faces of each surface."""
 
@@ -903,11 +895,9 @@ class StatesCase:
     variance: Array = field(init=False)
     """Noise variance of ``change``, from both states, (n_pairs, n_bands). For each pair it is the
     larger of the given variance and that expected of one decay: for T20 a relative standard deviation
-    of 0.88 / sqrt(B T), with the bandwidth B in Hz and T in s. The noise of the decays does not cancel
-    between the states, because the sound field changes with the absorption."""
+    of 0.88 / sqrt(B T), with the bandwidth B in Hz and T in s."""
     notes: tuple[str, ...] = field(init=False)
-    """Sentences on bands and pairs that only one state has, on converted values, and on where the
-    uncertainties come from."""
+    """Sentences on what only one state has, on converted values, and on origins of uncertainties."""
 
     def __post_init__(self) -> None:
         put = partial(object.__setattr__, self)

@@ -360,8 +360,8 @@ class Candidate:
     surface: str | None = None
     """Name of the surface. None for the whole room, for an error of the measurement, and for means."""
     place: str = ""
-    """Name of the surface at positions; for means the material in quotes if the effect is about one. An
-    error of the measurement has "receiver R1", "source S1" or "S1 to R1". "" for the whole room."""
+    """Name of the surface at positions, for means the material in quotes, of an error of measurement
+    "receiver R1", "source S1" or "S1 to R1"; "" for the whole room."""
     size: float = math.nan
     low: float = math.nan
     high: float = math.nan
@@ -375,13 +375,12 @@ class Candidate:
     """Most probable absorption coefficient alpha of the object on the surface, (n_bands,)."""
     parts: tuple[tuple[Point, float], ...] = ()
     """Middle (x, y, z) in m of each part of a large surface, and the probability that the object is on
-    this part alone. The rest of the probability is that of an object spread over the surface."""
+    this part alone; the rest is that of an object spread over the surface."""
     coefficients: OffTogether | None = None
-    """Error that all input coefficients have in common, for means, if it is likely in addition to the
-    effect."""
+    """Error that all input coefficients have in common beside the effect, if likely, for means."""
     absorption: Array | None = None
-    """Absorption area that the effect adds, for means, over the room's mean absorption area, (3,
-    n_bands): for the mean of the size, and for the lower and upper end of its interval."""
+    """Absorption area that the effect adds over the room's mean one, for means, (3, n_bands): by the
+    mean of the size, and by the lower and upper end of its interval."""
 
     @property
     def extent(self) -> Size | None:

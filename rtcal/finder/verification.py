@@ -157,41 +157,33 @@ class Verification(Result):
     """Names of the compared parameters, and of the pairs or configurations."""
     gaps: Array
     """Deviations, modelled minus measured, in JND, (n_models, n_seeds, n_quantities, n_places,
-    n_bands). NaN where nothing was measured. For two states they are in equal steps of ln T, so that
-    exchanged states have the same mean deviations."""
+    n_bands). NaN where nothing was measured. For two states they are in equal steps of ln T."""
     counted: NDArray[np.bool_]
-    """Whether the values were held out, so that no model was calibrated to them, (n_quantities,
-    n_places)."""
+    """Whether the values were held out from every calibration, (n_quantities, n_places)."""
     uncertainty: float
     """Standard error of ``gain`` in JND."""
     needed: float
     endured: float
-    """Decrease of the deviation in JND from which the finding is supported, and increase from which it
-    is withdrawn."""
+    """Decrease in JND from which the finding is supported, and increase from which it is withdrawn."""
     predictive: float = float("nan")
-    """Natural logarithm of how many times more probable the held-out values are with the effect, for
-    means. NaN where a program simulated the corrected model, so that nothing was predicted."""
+    """ln Bayes factor of the effect by the held-out values, for means; NaN of a second run."""
     misses: tuple[Miss, ...] = ()
     """Values to which the model with the effect was calibrated and which it still does not have."""
     halves: tuple[tuple[Pair, ...], ...] = ()
     """Pairs to which each model was fitted, at positions."""
     added: tuple[Candidate | None, ...] = ()
-    """Effects that each half of the pairs added to its model, at positions; None for a half without
-    one."""
+    """Effects that each half of the pairs added to its model, at positions; None for none."""
     notes: tuple[str, ...] = ()
-    """Notes: for two states on the case that was held out, for means on what the second run lacks."""
+    """Notes on the case that was held out, and on what a second run lacks."""
     uncorrected: Recalibrated | None = None
     corrected: Recalibrated | None = None
     """Calibrations to all data without and with the effect, for means."""
     runs: tuple[str, ...] = ()
-    """Names of those ``models`` that are a program's run as it is. The others were moved by a
-    calibration: for means to the measured T, at positions to half of the pairs."""
+    """Names of those ``models`` that are a program's run, which no calibration has moved."""
     features: Array = field(default_factory=partial(np.zeros, 0))
-    """Features that the last model predicts for means, with its bias, (n_configurations, n_features,
-    n_bands)."""
+    """Features of the last model with its bias, for means, (n_configurations, n_features, n_bands)."""
     again: Array = field(default_factory=partial(np.zeros, 0))
-    """Deviations in JND of a program's second run before a calibration moves it, (n_quantities,
-    n_places, n_bands)."""
+    """Deviations in JND of a program's second run as it is, (n_quantities, n_places, n_bands)."""
     effect: str = ""
     """Name of the effect that is verified, for means."""
     contained: Candidate | None = None
