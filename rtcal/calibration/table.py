@@ -128,7 +128,6 @@ def residuals(certificate: Certificate) -> dict[str, float]:
 _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and deviation (in JND) at which the notebook's shading saturates."""
 
-SHIFT = "shift of alpha in standard deviations (input sigma)"
 SIGNS = (
     "Deviation: T of the model minus measured T (1 JND is 5 % of T). Missing absorption: absorption "
     "that the measured T requires minus absorption by the input coefficients, in standard deviations."
@@ -178,17 +177,16 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         for what, rows in zip(_QUANTITIES, kinds, strict=True)
         if rows
     ]
-    heading, evidence = verdict(record)[1:]
-    evidence, _, step = evidence.partition(_NEXT)
+    found = verdict(record)
     of_room, *others = remarks(record)
     if not record["room_taken_as_exact"]:
         of_room, others = "", [of_room, *others]
     return [
-        Note(f"{heading}. {evidence}"),
+        Note(f"{found.heading}. {found.text}"),
         *map(Note, _cautions(record)),
         *map(Note, others),
-        *([Note(f"{_NEXT}{step}".strip())] if step else []),
-        Table(labels, band_rows(record), note=SIGNS),
+        *([Note(f"Next: {found.step}")] if found.step else []),
+        of_bands(record),
         *calibrated,
         *(
             Table(
@@ -200,24 +198,18 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
             for what, rows in zip(_QUANTITIES, kinds, strict=True)
             if rows
         ),
-        Table(labels, shift_rows(record), SHIFT, detail=True),
+        shifts(record),
         Note(_shares_in_words(record)),
-        Table(labels, share_rows(record), f"{SHARE} / %", detail=True),
+        shares(record),
         Note(f"{_made(record)} {of_room}".strip()),
     ]
 
 
 def _cautions(record: Mapping[str, Any]) -> list[str]:
-    """Return the cautions; one likely typing error, which the verdict states, by its letter alone."""
+    """Return the cautions, without the likely typing error that the verdict states."""
     marks = _trust_marks(record)
-    typed = [mark for mark in marks if mark.is_error]
-    if len(typed) != 1:
-        return cautions(marks)
-    (first,) = typed
-    where = "" if first.frequency is None else f" {bands.label(first.frequency)}"
-    by_letter = f"Caution [{first.letter}]{where}: the likely typing error named above."
-    said = cautions([mark for mark in marks if mark is not first])
-    return [by_letter, *said] if first.letter else said
+    first = next((mark for mark in marks if mark.is_error), None)
+    return cautions([mark for mark in marks if mark is not first])
 
 
 def _largest_shift(material: Mapping[str, Any], labels: Sequence[str]) -> str:
@@ -227,10 +219,12 @@ def _largest_shift(material: Mapping[str, Any], labels: Sequence[str]) -> str:
     return f"{shifts[k]:+.1f} at {labels[k]}" if abs(shifts[k]) >= _SEEN else "none"
 
 
-def shift_rows(record: Mapping[str, Any]) -> list[Row]:
-    """Return rows with the change of each material's coefficients, in input sigmas, by band."""
-    shifts = [(m["name"], numbers(m["shift_in_sigmas"])) for m in record["materials"]]
-    return [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in shifts]
+def shifts(record: Mapping[str, Any]) -> Table:
+    """Return the table of the change of each material's coefficients, in input sigmas, by band."""
+    each = [(m["name"], numbers(m["shift_in_sigmas"])) for m in record["materials"]]
+    rows = [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in each]
+    title = "shift of alpha in standard deviations (input sigma)"
+    return Table(bands.labels(record["centre_frequencies"]), rows, title, "Material", detail=True)
 
 
 def _made(record: Mapping[str, Any]) -> str:
@@ -275,11 +269,13 @@ def _shares(record: Mapping[str, Any]) -> Array:
     return np.array([numbers(one["share"]) for one in record["absorption_share"]])
 
 
-def share_rows(record: Mapping[str, Any]) -> list[Row]:
-    """Return rows with the shares of `absorption_share` in %."""
-    shares = _shares(record)
-    rows = zip(record["absorption_share"], whole_percents(shares), shares, strict=True)
-    return [Row(one["name"], of, ".0f", np.nan_to_num(share)) for one, of, share in rows]
+def shares(record: Mapping[str, Any]) -> Table:
+    """Return the table of the shares of `absorption_share` in %."""
+    of = _shares(record)
+    each = zip(record["absorption_share"], whole_percents(of), of, strict=True)
+    rows = [Row(one["name"], whole, ".0f", np.nan_to_num(share)) for one, whole, share in each]
+    labels = bands.labels(record["centre_frequencies"])
+    return Table(labels, rows, f"{SHARE} / %", "Material", detail=True)
 
 
 def whole_percents(shares: Array) -> Array:
@@ -322,29 +318,24 @@ def _parameters(record: Mapping[str, Any]) -> list[str]:
     return sorted({parameter_label(p) for p in record["measured"]["parameter"] if p})
 
 
-def band_rows(record: Mapping[str, Any]) -> list[Row]:
-    """Return one row per quantity of the bands, and one for the parameter if T20 and T30 are mixed."""
-    measured, parameters = record["measured"], record["measured"]["parameter"]
-    shades = [
-        np.nan_to_num(numbers(record[key])) / _STRONG_SHIFT
-        for key in ("gap_before_jnd", "gap_after_jnd")
-    ]
-    marks = _trust_marks(record)
-    trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
+def of_bands(record: Mapping[str, Any]) -> Table:
+    """Return the table of the bands, with a row for the parameter if T20 and T30 are mixed."""
+    measured, marks = record["measured"], _trust_marks(record)
+    before, after = (numbers(record[f"gap_{when}_jnd"]) for when in ("before", "after"))
     rows = [
         Row("measured T / s", measured["reverberation_time"], ".3f"),
         Row("  uncertainty / s", measured["uncertainty"], ".3f"),
         Row("T of the input / s", record["reverberation_time_before"], ".3f"),
         Row("T calibrated / s", record["reverberation_time_after"], ".3f"),
-        Row("deviation before / JND", record["gap_before_jnd"], "+.1f", shades[0]),
-        Row("deviation after / JND", record["gap_after_jnd"], "+.1f", shades[1]),
+        Row("deviation before / JND", before, "+.1f", np.nan_to_num(before) / _STRONG_SHIFT),
+        Row("deviation after / JND", after, "+.1f", np.nan_to_num(after) / _STRONG_SHIFT),
         Row("missing absorption / σ", record["plausibility"]["z"], "+.1f"),
         Row("share of the air / %", 100 * numbers(record["air_share"]), ".0f"),
-        Row("cautions", trust),
+        Row("cautions", [letters(marks, f) or "." for f in record["centre_frequencies"]]),
     ]
     if len(_parameters(record)) > 1:
-        rows.insert(0, Row("matched", [parameter_label(p) or "-" for p in parameters]))
-    return rows
+        rows.insert(0, Row("matched", [parameter_label(p) or "-" for p in measured["parameter"]]))
+    return Table(bands.labels(record["centre_frequencies"]), rows, note=SIGNS)
 
 
 def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
@@ -411,34 +402,24 @@ LARGE_GAP = 3.0
 """Deviation in JND before calibration that is clearly audible, whatever the input sigma allows."""
 _AGAINST = "The measurement contradicts the input coefficients"
 _ALIKE = "The measurement agrees with the input coefficients only if all of them err the same way"
-_NEXT = " Next:"
-"""Beginning of the next step in the text of a verdict."""
-_CHECK = (
-    f"{_NEXT} check the areas, the volume and the measured T; if they are right, run `rtcal find`."
-)
-_SOMETHING = (
-    f"Something is missing from the model, or an input value or its sigma is wrong.{_CHECK}"
-)
-_EQUATION = f"{_NEXT} run `rtcal find`, which also tries other reverberation equations."
-_OF_ROOM = (
-    "surface",
-    "dimensions",
-    "wide_sigma",
-    "equations_differ",
-)
+_CHECK = "check the areas, the volume and the measured T; if they are right, run `rtcal find`."
+_SOMETHING = "Something is missing from the model, or an input value or its sigma is wrong."
+_EQUATION = "run `rtcal find`, which also tries other reverberation equations."
+_OF_ROOM = ("surface", "dimensions", "wide_sigma", "equations_differ")
 """Marks of the whole room that leave open whether model and measurement agree."""
 
 
 class CalibrationVerdict(NamedTuple):
     """Statement of a calibration on whether model and measurement agree.
 
-    ``level`` is "agrees", "open" or "contradicts", ``heading`` a sentence without its full stop, and
-    ``text`` the reason.
+    ``level`` is "agrees", "open" or "contradicts", ``heading`` a sentence without its full stop,
+    ``text`` the reason, and ``step`` what to do next, "" for nothing.
     """
 
     level: Literal["agrees", "open", "contradicts"]
     heading: str
     text: str
+    step: str = ""
 
 
 def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
@@ -476,17 +457,15 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     of_materials = _of_materials(record)
     if left := _remaining_gap(record):
         fact, _, cause = left.partition(". ")
-        level: Literal["open", "contradicts"] = (
-            "contradicts" if of_materials.level == "contradicts" else "open"
-        )
         text = f"{cause} {of_materials.heading}. {of_materials.text}"
-        return CalibrationVerdict(level, fact, text)
+        level = "contradicts" if of_materials.level == "contradicts" else "open"
+        return of_materials._replace(level=level, heading=fact, text=text)
     f = np.asarray(record["centre_frequencies"])[compared]
     marked = {mark["frequency"] for mark in marks}
     reserved = any(mark["kind"] in _OF_ROOM for mark in marks) or marked >= set(f.tolist())
     if of_materials.level == "agrees" and reserved:
         heading = f"{of_materials.heading}, with cautions"
-        return CalibrationVerdict("open", heading, of_materials.text)
+        return of_materials._replace(level="open", heading=heading)
     return of_materials
 
 
@@ -549,10 +528,9 @@ def _longer(record: Mapping[str, Any]) -> str:
 def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return what p and z say of the materials, where the calibrated room has the measured T."""
     found = record["plausibility"]
-    p, far = (
-        found["p_value"],
-        [m["frequency"] for m in record["trust_marks"] if m["kind"] == "implausible"],
-    )
+    p, marks = found["p_value"], record["trust_marks"]
+    far = [m["frequency"] for m in marks if m["kind"] == "implausible"]
+    check = _CHECK if far else ""
     if not found["degrees_of_freedom"]:
         return CalibrationVerdict(
             "open", "No T was measured in a band of the model", "There is no verdict."
@@ -565,7 +543,8 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             _AGAINST if far else "There is no overall verdict",
             f"{as_sentence(needs)[:-1]} an absorption more than two standard deviations from the "
             "input. How likely such a difference is over all bands cannot be calculated, because a "
-            f"coefficient stands at a bound.{_CHECK if far else ''}",
+            "coefficient stands at a bound.",
+            check,
         )
     agreed, chance = agreement(p, found["p_together"]), _evidence(record)
     if agreed == "too good":
@@ -589,25 +568,27 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
         said = (
             f"{off}. This is more than the input's standard deviations explain: {chance}.",
             _together(record),
-            f"{longer}{_EQUATION * against}" if longer else _SOMETHING * against,
+            longer or _SOMETHING * against,
         )
         return CalibrationVerdict(
             "contradicts" if against else "open",
             _AGAINST if against else _ALIKE,
             " ".join(filter(None, said)),
+            (_EQUATION if longer else _CHECK) * against,
         )
     within = f"{off}. The input's standard deviations explain this: {chance}."
     if largest >= LARGE_GAP:
         return CalibrationVerdict(
             "open",
             "The measurement does not contradict the input coefficients",
-            f"{within} Standard deviations that allow so large a deviation do not confirm the model."
-            + (_CHECK if far else ""),
+            f"{within} Standard deviations that allow so large a deviation do not confirm the model.",
+            check,
         )
     return CalibrationVerdict(
         "open" if far else "agrees",
         "The measurement agrees with the input coefficients" + (", with exceptions" if far else ""),
-        within + (_CHECK if far else ""),
+        within,
+        check,
     )
 
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.marks import TrustMark, grouped
 from rtcal.acoustics.room import Room
 from rtcal.files.saved import NUMBERS, Result
 from rtcal.report import figures
@@ -34,8 +33,8 @@ __dir__ = __all__.copy
 
 PAGE = "report.html"
 """Name of a page in its folder."""
-MOST_MATERIALS = 100
-"""Largest number of materials in a page's tables: those that absorb or changed most are shown."""
+MOST_ROWS = 100
+"""Largest number of rows of a table on a page; a workbook has all."""
 MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
 _ABREAST, _WORDY = 7, 16
@@ -224,7 +223,7 @@ def abreast(columns: Sequence[str]) -> list[slice]:
 def wordy(table: Table) -> list[bool]:
     """Return True for each column whose texts are longer than a number, (n_columns,)."""
     columns = zip(
-        *((() if r.form else r.cells) or [""] * len(table.columns) for r in table.printed),
+        *((() if r.form else r.cells) or [""] * len(table.columns) for r in table.rows),
         strict=True,
     )
     return [any(len(c) > _WORDY and "→" not in c for c in column) for column in columns]
@@ -250,6 +249,7 @@ def _environment() -> Any:
         "kind": lambda block: type(block).__name__,
         "abreast": abreast,
         "wordy": wordy,
+        "shown": lambda rows: rows[:MOST_ROWS],
         "data": data_of,
         "in_style": lambda text: Markup(_in_style(text)),
         "as_it_is": Markup,  # rtcal's own script, and JSON without markup
@@ -286,23 +286,30 @@ def notes(blocks: Sequence[Block]) -> list[str]:
     return [block.text for block in blocks if isinstance(block, Note)]
 
 
+def summary(blocks: Sequence[Block], picture: Picture, level: str = "") -> list[Any]:
+    """Return the first part of a page: the first note of a result, its other notes, and a picture.
+
+    The first note is a verdict if there is a ``level``, as that of `Box`.
+    """
+    lead, *further = notes(blocks)
+    first = Box(level, lead) if level else Note(lead, kind="lead")
+    return [first, SideBySide([[Items(further)], [picture]], "summary")]
+
+
 def coefficients(
     title: str,
     room: Room,
     alpha: Array,
     interval: tuple[Array, Array] | None = None,
     at_bound: NDArray[np.bool_] | None = None,
-    most: Sequence[int] | None = None,
     of: Sequence[int] | None = None,
 ) -> Table:
     """Return the table of input and calibrated coefficients by material and band.
 
     ``room`` has the input coefficients. ``alpha`` are the calibrated ones, ``interval`` the ends of
     their 90 % interval, and ``at_bound`` is True for those that get a star; all are (n_materials,
-    n_bands). Without ``interval`` or ``at_bound``, the table has no intervals or stars. ``of`` are the
-    numbers of the materials in the table, ``most`` of those that a page shows at first; None means all.
+    n_bands). ``of`` are the numbers of the materials in the table, by default of all.
     """
-    every = [*range(room.n_materials)] if of is None else [*of]
 
     def cell(i: int, k: int) -> str:
         star = "*" if at_bound is not None and at_bound[i, k] else ""
@@ -311,35 +318,14 @@ def coefficients(
         )
         return f"{room.alpha[i, k]:.3f}\u00a0→ {alpha[i, k]:.3f}{star}{ends}"
 
-    others = {} if interval is None else {"90 %: from": interval[0], "to": interval[1]}
-    return Table(
-        bands.labels(room.centre_frequencies),
-        [
-            Row(
-                f"{room.materials[i]}, {room.areas[i]:.4g} {'m²' if room.is_surface[i] else 'pieces'}",
-                alpha[i],
-                shown=[cell(i, k) for k in range(room.n_bands)],
-                others={"input": room.alpha[i], **{k: end[i] for k, end in others.items()}},
-            )
-            for i in every
-        ],
-        title,
-        "Material",
-        most=None if most is None else [every.index(i) for i in most if i in every],
-    )
-
-
-def cautions(marks: Sequence[TrustMark]) -> list[Block]:
-    """Return a table of the cautions, one row for each kind, or a note that there are none."""
-    if not marks:
-        return [
-            Note(
-                "No check of rtcal found a reason for caution. Errors that no check can find are still "
-                "possible."
-            )
-        ]
+    ends = {} if interval is None else {"90 %: from": interval[0], "to": interval[1]}
     rows = [
-        Row(f"{m.title} ({m.letter})" if m.letter else m.title, ["; ".join(facts), m.advice])
-        for m, facts in grouped(marks)
+        Row(
+            f"{room.materials[i]}, {room.areas[i]:.4g} {'m²' if room.is_surface[i] else 'pieces'}",
+            alpha[i],
+            shown=[cell(i, k) for k in range(room.n_bands)],
+            others={name: values[i] for name, values in ({"input": room.alpha} | ends).items()},
+        )
+        for i in (range(room.n_materials) if of is None else of)
     ]
-    return [Table(["Where and what", "What to do"], rows, corner="Caution")]
+    return Table(bands.labels(room.centre_frequencies), rows, title, "Material")

@@ -30,13 +30,11 @@ class Row:
     """
 
     name: str
-    values: Sequence[Any] | NDArray[Any]  # (n_columns,)
-    form: str = ""  # of the numbers, such as ".3f"
-    shade: Sequence[float] | NDArray[Any] = ()  # from -1 (blue) over 0 (none) to 1 (orange)
-    shown: Sequence[str] = ()  # what is printed in place of the values
-    others: Mapping[str, NDArray[Any]] = field(
-        default_factory=dict
-    )  # in ``shown``, too, by their name
+    values: Sequence[Any] | NDArray[Any]
+    form: str = ""
+    shade: Sequence[float] | NDArray[Any] = ()
+    shown: Sequence[str] = ()
+    others: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
     @property
     def cells(self) -> list[str]:
@@ -88,8 +86,7 @@ class Row:
 class Table:
     """Hold a printed table, with a title above and a note below.
 
-    ``corner`` is the head of the column of the rows' names. ``most`` has the numbers of the rows that
-    are printed, None for all; a workbook has all rows. A table with ``detail`` True is shown in
+    ``corner`` is the head of the column of the rows' names. A table with ``detail`` True is shown in
     notebooks and on pages, but not in a terminal.
 
     ``columns`` are the heads of the columns, ``rows`` the rows, ``title`` is the text above and
@@ -101,13 +98,7 @@ class Table:
     title: str = ""
     corner: str = ""
     note: str = ""
-    most: Sequence[int] | None = None
     detail: bool = False
-
-    @property
-    def printed(self) -> Sequence[Row]:
-        """The rows that a text or a page shows."""
-        return self.rows if self.most is None else [self.rows[i] for i in self.most]
 
     @classmethod
     def of_columns(
@@ -165,7 +156,7 @@ def lines(blocks: Sequence[Block]) -> list[str]:
                 continue
             out += [""] if out else []
             out += text.wrapped(block.title)
-            rows = [(row.name, row.cells) for row in block.printed]
+            rows = [(row.name, row.cells) for row in block.rows]
             out += text.table(rows, header=(block.corner, list(block.columns)))
             out += text.wrapped(block.note)
         else:
@@ -189,7 +180,7 @@ def notebook(caption: str, blocks: Sequence[Block]) -> str:
             out += f"<p>{html.escape(block.text)}</p>" if block.text else ""
             continue
         head = "".join(_cell("th", "col", c) for c in (block.corner, *block.columns))
-        body = "".join(f"<tr>{_cells(row)}</tr>" for row in block.printed)
+        body = "".join(f"<tr>{_cells(row)}</tr>" for row in block.rows)
         title = ". ".join(filter(None, (first, block.title)))
         out += (
             f'<table><caption style="text-align: left">{html.escape(title)}</caption>'
