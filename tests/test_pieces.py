@@ -17,7 +17,7 @@ from rtcal.acoustics.changes import Change, read_variants
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import LARGEST_PIECE, Material, Piece, Room
 from rtcal.calibration.archive import learn
-from rtcal.calibration.table import share_rows
+from rtcal.calibration.table import shares as table_of_shares
 from rtcal.datasets import catalogue
 from rtcal.finder.apply import corrected_case
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
@@ -27,7 +27,6 @@ from rtcal.finder.means.problem import state
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.model import DirectionalDecay, predict, sensitivities
 from rtcal.finder.search import find
-from rtcal.report.of_calibration import assumed
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
 from tests.conftest import Commands
@@ -557,9 +556,9 @@ def test_a_search_by_positions_names_the_one_by_means() -> None:
 
 def test_what_is_printed_keeps_pieces_apart(tmp_path: Path, rtcal: Commands) -> None:
     result = rt.calibrate(room(PERSONS), [1.0, 0.6])
-    shares = [row.values for row in share_rows(result.to_dict())]
+    shares = [row.values for row in table_of_shares(result.to_dict()).rows]
     assert np.sum(shares, axis=0) == pytest.approx(100)
-    assert "areas of 222 m² in all" in " ".join(assumed(result))
+    assert "222 m² of surfaces" in str(result)
     result.save(tmp_path / "found")
     (tmp_path / "variants.toml").write_text(VARIANTS)
     assert "full" in rtcal("predict", tmp_path / "found", "--change", tmp_path / "variants.toml")

@@ -458,7 +458,9 @@ def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     if left := _remaining_gap(record):
         fact, _, cause = left.partition(". ")
         text = f"{cause} {of_materials.heading}. {of_materials.text}"
-        level = "contradicts" if of_materials.level == "contradicts" else "open"
+        level: Literal["open", "contradicts"] = (
+            "contradicts" if of_materials.level == "contradicts" else "open"
+        )
         return of_materials._replace(level=level, heading=fact, text=text)
     f = np.asarray(record["centre_frequencies"])[compared]
     marked = {mark["frequency"] for mark in marks}

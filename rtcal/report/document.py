@@ -276,7 +276,7 @@ def flat(blocks: Iterable[Any]) -> Iterator[Any]:
             yield block
 
 
-def tables(blocks: Sequence[Block]) -> list[Table]:
+def tables(blocks: Sequence[Block | None]) -> list[Table]:
     """Return the tables among blocks."""
     return [block for block in blocks if isinstance(block, Table)]
 

@@ -1103,14 +1103,17 @@ def record_of_means(verdict: str, data: str) -> str:
 # Blocks.
 
 
-def candidates(f: Finding) -> Table | None:
-    """Return the table of probable effects: with odds for means, with sizes otherwise."""
+def candidates(f: Finding, least: float = SAID) -> Table | None:
+    """Return the table of effects: with odds for means, with sizes otherwise; None without any.
+
+    ``least`` is the smallest probability of an effect of means in the table.
+    """
     if f.kind == "means":
         there = "probability" if not f.more_than_one else "probability of being there"
         rows = [
             Row(called(name), [percent(p), odds(f.evidence[name]) if name in f.evidence else ""])
             for name, p in f.probabilities.items()
-            if p >= SAID
+            if p >= least
         ]
         title = "Candidates. Odds: the model with the effect against the model without it."
         if not f.more_than_one:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,8 +38,8 @@ def page(result: CalibrationResult) -> Page:
     """Return the page of a calibration, without links or scripts other than the room view's."""
     room, record, verdict = result.prior, result.to_dict(), result.verdict
     kinds = {
-        "Absorption coefficients": np.flatnonzero(room.is_surface),
-        "Absorption area of one piece in m²": np.flatnonzero(~room.is_surface),
+        "Absorption coefficients": np.flatnonzero(room.is_surface).tolist(),
+        "Absorption area of one piece in m²": np.flatnonzero(~room.is_surface).tolist(),
     }
     at_bound = result.active != 0
     sources = [Row(m, [room.sources[m]]) for m in room.materials if room.sources.get(m)]
@@ -66,9 +67,9 @@ def page(result: CalibrationResult) -> Page:
         *(
             coefficients(f"{what}: {_COLUMNS}", room, result.alpha, result.interval, at_bound, of)
             for what, of in kinds.items()
-            if len(of)
+            if of
         ),
-        table.of_bands(record),
+        replace(table.of_bands(record), title="By band"),
         table.shifts(record),
         table.shares(record),
         Section("Figures", "pictures"),

@@ -16,7 +16,7 @@ from rtcal.acoustics.marks import LARGE_Z, rms
 from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, parameter_label
 from rtcal.acoustics.room import is_calibrated
 from rtcal.report import figures
-from rtcal.report.document import Code, Items, Page, Picture, Section, notes, tables
+from rtcal.report.document import Code, Items, Page, Picture, Section, summary, tables
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import listed, number, numbers
@@ -86,11 +86,8 @@ def _positions(c: Comparison, parameter: str) -> str:
         return ""
     each = _over_bands(c.at_pairs[parameter][:, c.disagrees[parameter]])
     each = each[np.isfinite(each)]
-    alike = np.ptp(each) <= abs(each.mean())
-    of = f"The deviation of {parameter_label(parameter)}"
-    if alike:
-        return f" {of} is about the same at all positions."
-    return f" {of} is not the same at all positions."
+    same = "about" if np.ptp(each) <= abs(each.mean()) else "not"
+    return f" The deviation of {parameter_label(parameter)} is {same} the same at all positions."
 
 
 def _over_bands(off: Array) -> Array:
@@ -259,50 +256,38 @@ def blocks(c: Comparison) -> list[Block]:
 
 def section(c: Comparison) -> list[Any]:
     """Return the first part of a comparison's page: the answer, the picture, and possible causes."""
-    lead, *further = notes(c.blocks())
-    return [
-        Note(lead, kind="lead"),
-        Picture(
-            lambda: figures.disagreement(c),
-            "How far the run is from the measurement. Dots are pairs; bars are two standard "
-            "uncertainties of the measurement; orange is what errors of the coefficients can explain "
-            "(two standard deviations, including parameters that follow T); grey is one JND.",
-            lead,
-        ),
-        Items(further),
-    ]
+    picture = Picture(
+        lambda: figures.disagreement(c),
+        "How far the run is from the measurement. Dots are pairs; bars are two standard uncertainties "
+        "of the measurement; orange is what errors of the coefficients can explain (two standard "
+        "deviations, including parameters that follow T); grey is one JND.",
+        sentence(c),
+    )
+    return summary(c.blocks(), picture)
 
 
 def page(c: Comparison) -> Page:
     """Return the page of a comparison."""
     room, simulated = c.run.room, "" if c.of_equation else " --simulated run.csv"
     equation = "" if c.equation == Eyring() else f" --equation {c.equation.key}"
-    return Page(
-        room.name,
-        room.author,
-        "where simulation and measurement disagree",
-        [
-            Section("Summary", "summary"),
-            *section(c),
-            Section("Tables", "tables"),
-            *tables(c.blocks()),
-            Section("What was assumed", "assumed"),
-            Items(
-                [
-                    f"A parameter disagrees where it is off by more than {NOTICED:g} JND and by "
-                    f"more than {LARGE_Z:g} standard uncertainties of the measurement (as given, "
-                    "or else from ISO 3382-2 and the spread over pairs). One JND of a decay time "
-                    f"is {100 * REVERBERATION[0].jnd:g} % of it.",
-                    "At a single pair, a value without an uncertainty gets the "
-                    "reproducibility standard deviation between measuring teams.",
-                    "The deviation that the coefficients can explain follows from their sigma "
-                    f"and from common errors of handbook values, by {c.equation.name}'s "
-                    "equation. For other parameters, coefficients explain only what follows from T in "
-                    "an exponential decay.",
-                ]
-            ),
-            Section("How to reproduce", "reproduce"),
-            Code(f"rtcal compare room.toml measured.csv{simulated}{equation}"),
-            Note(f"rtcal {__version__}."),
-        ],
-    )
+    assumed = [
+        f"A parameter disagrees where it is off by more than {NOTICED:g} JND and by more than "
+        f"{LARGE_Z:g} standard uncertainties of the measurement (as given, or else from ISO 3382-2 and "
+        "the spread over pairs). One JND of a decay time is "
+        f"{100 * REVERBERATION[0].jnd:g} % of it.",
+        "At a single pair, a value without an uncertainty gets the reproducibility standard deviation "
+        "between measuring teams.",
+        "The deviation that the coefficients can explain follows from their sigma and from common "
+        f"errors of handbook values, by {c.equation.name}'s equation. For other parameters, "
+        "coefficients explain only what follows from T in an exponential decay.",
+    ]
+    blocks = [
+        *section(c),
+        Section("Tables", "tables"),
+        *tables(c.blocks()),
+        Section("Technical details", "details"),
+        Items(assumed),
+        Code(f"rtcal compare room.toml measured.csv{simulated}{equation}"),
+        Note(f"rtcal {__version__}."),
+    ]
+    return Page(room.name, room.author, "where simulation and measurement disagree", blocks)

@@ -15,7 +15,6 @@ from rtcal.loop.positions import PositionsResult
 from rtcal.report import finding_words as words
 from rtcal.report import of_finding, verification_words
 from rtcal.report.document import (
-    Box,
     Code,
     Heading,
     Page,
@@ -132,14 +131,10 @@ def blocks(result: Diagnosis) -> list[Block]:
 
 def page(result: Diagnosis) -> Page:
     """Return the page of a diagnosis: that of its finding, with the effect and the calibration."""
-    made, found = of_finding.page(result.finding, result.verification), result.calibrated
-    more = [
-        sentence for sentence in (shrunk(result), added(result), calibrated(result)) if sentence
-    ]
-    said = [
-        replace(block, texts=[*block.texts, *more]) if isinstance(block, Box) else block
-        for block in made.blocks
-    ]
+    found = result.calibrated
+    more = [*filter(None, (shrunk(result), added(result), calibrated(result)))]
+    made = of_finding.page(result.finding, result.verification, more=more)
+    said = [*made.blocks]
     if isinstance(found, PositionsResult):
         said += [
             Section("The calibrated model", "calibrated", new_sheet=True),

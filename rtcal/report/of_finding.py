@@ -17,7 +17,6 @@ from rtcal.acoustics.room import MAX_BYTES, Room
 from rtcal.acoustics.run import Run
 from rtcal.files.saved import NUMBERS
 from rtcal.finder.apply import CASE, DRAWN_LARGER, ROOM, Corrected
-from rtcal.finder.evidence import NONE
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.positions.places import Place
@@ -35,8 +34,9 @@ from rtcal.report.document import (
     Section,
     SideBySide,
     coefficients,
+    notes,
+    tables,
 )
-from rtcal.report.finding_words import odds, percent
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.blocks import lines as lines_of
 from rtcal.support.text import as_sentence, listed
@@ -61,42 +61,44 @@ def page(
     verification: Verification | None = None,
     command: str = "",
     place: Place | None = None,
+    more: Sequence[str] = (),
 ) -> Page:
-    """Return the page of a finding: the answer, its reasons, what to do, and the numbers.
+    """Return the page of a finding: its printed text with figures and further tables.
 
     ``verification`` is that of the finding; None if there is none. ``command`` is the command, printed
     on the page, that reproduces it. ``place`` is a position for a further receiver that would
-    distinguish the surfaces; None if there is none.
+    distinguish the surfaces; None if there is none. ``more`` are sentences after those of the finding.
     """
     if isinstance(result, Verification):
-        return page(result.finding, result, command, place)
+        return page(result.finding, result, command, place, more)
     finding = result
     room, drawn = finding.case.room, pictures(finding, verification, place)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
     level = "open" if level == "agrees" and finding.differs else level
-    answer, *more = words.headline(finding)
-    of_kind: list[Any]
+    answer, *further = words.headline(finding)
+    said = notes(words.blocks(finding, verification))[1:]
+    if place is not None:
+        at = ", ".join(f"{x:.1f}" for x in place.point)
+        said.append(
+            f"To distinguish the surfaces, measure at ({at}) m with source {place.source}, the star in "
+            f"the plan: it is worth {place.pairs:.1f} of the {len(finding.pairs)} measured pairs."
+        )
+    if finding.undecided is not None:
+        said.append(chosen(finding))
+    elif verification is not None:
+        said.append(words.USE[verification.verdict])
     if finding.kind == "means":
-        of_kind = _of_means(finding, verification, drawn[1:])
+        numbers = _of_means(finding, verification, drawn[1:])
     elif finding.kind == "positions":
-        of_kind = _at_positions(finding, verification, drawn[1:], place)
+        numbers = _at_positions(finding, verification, drawn[1:], place)
     else:
-        of_kind = _of_states(finding, drawn[1:])
+        numbers = _of_states(finding, drawn[1:])
     blocks = [
         *_of_run(finding),
         Section("The finding", "finding"),
-        Box(level, answer, more),
-        Section("What it rests on", "basis", 3),
-        Items(rests_on(finding, verification)),
-        SideBySide(
-            [
-                [Section("What to do", "to-do", 3), Items(to_do(finding, verification, place))],
-                drawn[:1],
-            ]
-        ),
-        *of_kind,
-        *([Section("Notes", "notes", 3)] if words.noted(finding) else []),
-        Items(words.noted(finding)),
+        Box(level, answer, further),
+        SideBySide([[Items([*said, *more])], drawn[:1]]),
+        *numbers,
         *_reproduced(finding, command),
     ]
     return Page(room.name, room.author, _SUBJECTS[finding.kind], blocks)
@@ -116,61 +118,6 @@ def _of_run(finding: Finding) -> list[Any]:
     return [title, *of_comparison.section(compare(case.room, measured, run))]
 
 
-def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
-    """Return the reasons for the answer, a sentence each, cautions first."""
-    return [
-        *(f"Caution: {said}" for said in words.cautions(finding)),
-        *([] if verification is None else [verification.sentence]),
-        *map(as_sentence, words.details(finding)),
-        words.evidence(finding),
-        *filter(None, [words.track_record(finding)]),
-    ]
-
-
-def to_do(
-    finding: Finding, verification: Verification | None, place: Place | None = None
-) -> list[str]:
-    """Return the next steps, a sentence each: the next measurement, and which coefficients to use."""
-    steps = [] if finding.advice is None or finding.verdict == NONE else [str(finding.advice)]
-    steps += filter(None, [words.without_measuring(finding)])
-    if place is not None:
-        at = ", ".join(f"{x:.1f}" for x in place.point)
-        steps.append(
-            f"To distinguish the surfaces, measure at ({at}) m with source {place.source}, the "
-            "star in the plan. Of the positions that were tried, this one is expected to distinguish "
-            f"them best: as well as {place.pairs:.1f} of the {len(finding.pairs)} measured pairs."
-        )
-    if finding.undecided is not None:
-        confirm = "Do not add an effect to the model before it is confirmed."
-        return [*steps, confirm, chosen(finding)]
-    if verification is not None:
-        steps += filter(
-            None, [words.USE[verification.verdict], verification_words.misses(verification)]
-        )
-    elif finding.can_be_added and finding.kind == "means":
-        steps.append(
-            "Do not use the corrected calibration yet, because this set has not been verified. "
-            "`rtcal plan` shows what to measure next."
-        )
-    if finding.can_be_added and finding.kind != "means":
-        made = "the room after the change" if finding.kind == "states" else "the corrected model"
-        steps.append(f"rtcal apply FOUND --out FOLDER writes {made}.")
-    if (
-        finding.kind == "means"
-        and not finding.can_be_added
-        and not words.without_measuring(finding)
-    ):
-        steps.append(
-            "Do not use a calibration of this model, because its coefficients would "
-            "compensate for the missing effect."
-            if finding.verdict == "unknown"
-            else "Calibrate as usual (rtcal calibrate). Nothing was found to be missing, but T "
-            "may still be out of reach or mistyped: the cautions of the calibration show "
-            "whether the result can be used."
-        )
-    return steps
-
-
 def chosen(finding: Finding, found: str = "FOUND") -> str:
     """Return what you must choose before `apply`, with the command for it; "" if nothing."""
     if finding.undecided is None:
@@ -184,37 +131,16 @@ def chosen(finding: Finding, found: str = "FOUND") -> str:
 def _of_means(
     finding: Finding, verification: Verification | None, drawn: list[Picture]
 ) -> list[Any]:
-    """Return the corrected calibration, probabilities and odds."""
-    sets = [
-        Row(words.set_of(names), [100 * p], ".0f", [p]) for names, p in finding.likely_sets.items()
-    ]
-    rows = [
-        Row(
-            words.called(name),
-            [f"{100 * p:.0f}", odds(finding.evidence.get(name, 0.0))],
-            shade=[p, 0.0],
-        )
-        for name, p in finding.probabilities.items()
-    ]
+    """Return the corrected calibration, every effect that was tried, and the deviations."""
     after = None if verification is None else residual_map(verification)
+    with_it = f" with {words.title(finding)}"
     return [
         *_corrected(finding, verification),
         SideBySide([[picture] for picture in drawn]),
         Section("The evidence in numbers", "evidence"),
-        Table(["Probability / %"], sets, "Sets of effects, the most probable first", "Set"),
-        Note(
-            "The odds compare the model with the effect to the model without it, by the "
-            "measurement only. The probability also includes how likely each effect was before "
-            "the measurement.",
-            kind="keep",
-        ),
-        Table(["Probability / %", "Odds"], rows, "Every effect that was tried", "Effect"),
+        *tables([words.candidates(finding, least=0.0)]),
         *words.deviations(finding, finding.residuals),
-        *(
-            []
-            if after is None
-            else words.deviations(finding, after, f" with {words.title(finding)}")
-        ),
+        *([] if after is None else words.deviations(finding, after, with_it)),
     ]
 
 
@@ -225,18 +151,16 @@ def _at_positions(
     place: Place | None,
 ) -> list[Any]:
     """Return the room, the candidates, where the model disagrees, and the gaps."""
-    probable = words.candidates(finding)
     by_model: list[Any] = []
     if verification is not None:
-        heading = "Mean deviation in JND, ± its standard deviation over the simulator's seeds"
         by_model = [
             Section("The deviations by parameter and by pair", "gaps"),
-            replace(verification_words.gaps(verification), title=heading, corner=""),
+            verification_words.gaps(verification),
             Items(verification_words.notes(verification)),
         ]
     return [
         *room_view.of_finding(finding, verification, place),
-        *([] if probable is None else [replace(probable, title="Candidates")]),
+        *tables([words.candidates(finding)]),
         Section("Where the model disagrees", "map"),
         *drawn,
         *_disagreement(finding),
@@ -264,17 +188,17 @@ def _disagreement(finding: Finding) -> list[Table]:
 
 def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
     """Return what it may be, on which surface, and both states by band."""
-    kinds, n = words.candidates(finding), len(finding.case.pairs)
+    n = len(finding.case.pairs)
     rows = [
         Row(name, [f"{100 * p:.0f}", "identified" if name in finding.identified_surfaces else ""])
         for name, p in finding.surfaces.items()
     ]
     return [
-        *([] if kinds is None else [replace(kinds, title="What it may be")]),
+        *tables([words.candidates(finding)]),
         Table(["Probability that it changed / %", ""], rows, "On which surface", "Surface"),
         Section("By band", "bands"),
         *drawn,
-        *(replace(t, title="Both states") for t in words.numbers(finding) if isinstance(t, Table)),
+        *tables(words.numbers(finding)),
         Note(
             f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both "
             "configurations are assumed to be measured at the same positions with the same "
@@ -284,10 +208,6 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
     ]
 
 
-def _time(finding: Finding) -> str:
-    return str(finding.case.configurations[0].measured.time_label)
-
-
 def _corrected(finding: Finding, verification: Verification | None) -> list[Any]:
     """Return the coefficients with the effect or the set in the model; nothing where none is added."""
     if not finding.can_be_added or finding.undecided is not None:
@@ -295,13 +215,14 @@ def _corrected(finding: Finding, verification: Verification | None) -> list[Any]
     corrected = None if verification is None else verification.corrected
     if corrected is None:
         corrected = recalibrate(finding.with_effects(), finding.discrepancy)
+    time = finding.case.configurations[0].measured.time_label
     of = listed([f'"{c.name}"' for c in finding.case.configurations])
-    with_it = f"with {words.title(finding)} in the model, calibrated to {_time(finding)} of {of}"
     return [
         Section("The corrected calibration", "corrected", new_sheet=True),
         Note(f"In the model: {'; '.join(words.effects_of(corrected))}.", kind="keep"),
         coefficients(
-            f"Corrected coefficients, {with_it}: input → calibrated, below it the 90 % interval",
+            f"Corrected coefficients, calibrated to {time} of {of}: input → calibrated, below it the "
+            "90 % interval",
             finding.case.room,
             corrected.alpha,
             corrected.interval,
@@ -313,91 +234,60 @@ def pictures(
     finding: Finding, verification: Verification | None = None, place: Place | None = None
 ) -> list[Picture]:
     """Return the figures of a finding; the first one is shown beside the answer."""
-    if finding.kind == "means":
-        if verification is None:
-            return []
-        tested = [] if np.isnan(verification.before) else [_bars(verification, "data")]
-        return [
-            *tested,
-            Picture(
-                lambda: figures.corrected_times(verification),
-                "T by band. A calibration without the effect also has the measured T, which "
-                "proves nothing.",
-                name="reverberation_time",
-            ),
-            Picture(
-                lambda: figures.corrected_shifts(verification),
-                "How far the coefficients had to move, with and without the effect in the model, "
-                "and their 90 % intervals. The intervals without the effect are valid only if "
-                "nothing is missing from the model.",
-                tall=True,
-                name="shifts",
-            ),
-        ]
-    if finding.kind == "positions":
-        likely = "; ".join(f"{n} {percent(finding.surfaces[n])}" for n in finding.likely_surfaces)
-        coloured = (
-            f"coloured are {likely}"
-            if finding.verdict != "none" and likely
-            else "no surface is coloured"
-        )
+    if finding.kind == "states":
+        caption = "Change of the absorption area with its 90 % interval, if it changed."
+        return [Picture(lambda: figures.change(finding), caption, name="change")]
+    what = "data" if finding.kind == "means" else "pairs"
+    drawn = list[Picture]()
+    if verification is not None and np.isfinite(verification.before):
         drawn = [
             Picture(
-                lambda: figures.plan(finding, place),
-                "The plan. A line joins source (triangle) and receiver (circle); the darker it "
-                "is, the larger the deviation of the pair. The more orange a wall is, the more "
-                "probable it is.",
-                f"The plan of the room with sources and receivers; {coloured}.",
-                name="plan",
-            ),
+                lambda: figures.bars(verification),
+                f"Mean deviation at {what} that were not fitted, with its range over the simulator's "
+                "seeds. The dotted line is 1 JND.",
+                name="gap",
+            )
         ]
-        if verification is None:
-            return drawn
-        return [_bars(verification, "pairs"), *drawn]
+    if finding.kind == "positions":
+        plan = Picture(
+            lambda: figures.plan(finding, place),
+            "The plan. A line joins source (triangle) and receiver (circle); the darker it is, the "
+            "larger the deviation of the pair. The more orange a wall is, the more probable it is.",
+            name="plan",
+        )
+        return [*drawn, plan]
+    if verification is None:
+        return []
     return [
+        *drawn,
         Picture(
-            lambda: figures.change(finding),
-            "Change of the absorption area with its 90 % interval, if it changed.",
-            name="change",
+            lambda: figures.corrected_times(verification),
+            "T by band. A calibration without the effect has the measured T, too, which proves nothing.",
+            name="reverberation_time",
+        ),
+        Picture(
+            lambda: figures.corrected_shifts(verification),
+            "How far the coefficients had to move, with and without the effect in the model, and their "
+            "90 % intervals. Those without the effect hold only if nothing is missing from the model.",
+            tall=True,
+            name="shifts",
         ),
     ]
 
 
-def _bars(verified: Verification, what: str) -> Picture:
-    """Return the picture of the gap at ``what`` was not fitted, of each of the three models."""
-    each = zip(verified.by_seed.mean(axis=1), verified.models, strict=True)
-    of_seeds = "; whiskers are the range over the simulator's seeds" * (verified.gaps.shape[1] > 1)
-    return Picture(
-        lambda: figures.bars(verified),
-        f"Mean deviation at {what} that were not fitted{of_seeds}. The dotted line is 1 JND.",
-        f"Three bars of the mean deviation at {what} that were not fitted: "
-        f"{listed([f'{gap:.2f} JND {model}' for gap, model in each])}.",
-        name="gap",
-    )
-
-
 def _reproduced(finding: Finding, command: str) -> list[Any]:
-    """Return the command that searched; of a saved finding its case, and the command for it.
-
-    Nothing if the case is too large for a page.
-    """
-    title = Section("How to reproduce the finding", "reproduce-finding")
-    if finding.kind == "states":
-        return []
-    if command:
-        engines = () if finding.discrepancy is None else finding.discrepancy.engines
-        rooms = [Note(f"Reference simulations: {listed(engines)}.", kind="keep")] if engines else []
-        return [title, *rooms, Code(command)]
-    if finding.kind == "positions":
-        return []
-    case = finding.case.to_json().encode()
-    if len(case) > MAX_BYTES:
-        return []
-    said = (
-        ", which holds the room and every measurement, and run this command (with the same "
-        "options, if you used any):"
-    )
-    return [title, Files({"case.json": case}, said), Code("rtcal find case.json")]
+    """Return the command that searched; of a saved finding by means its case, unless too large."""
+    said: list[Any] = [Code(command)]
+    if not command:
+        if finding.kind != "means" or len(case := finding.case.to_json().encode()) > MAX_BYTES:
+            return []
+        files = (
+            ", which holds the room and every measurement, and run with the options of the search:"
+        )
+        said = [Files({"case.json": case}, files), Code("rtcal find case.json")]
+    engines = () if finding.discrepancy is None else finding.discrepancy.engines
+    rooms = [Note(f"Reference simulations: {listed(engines)}.", kind="keep")] if engines else []
+    return [Section("Technical details", "details"), *rooms, *said]
 
 
 INSTRUCTIONS = "instructions.txt"
@@ -422,10 +312,8 @@ def instructions(
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
         run = finding.case.configurations[0].simulated.room
-    labels, old = (
-        bands.labels(room.centre_frequencies),
-        dict(zip(run.materials, run.alpha, strict=True)),
-    )
+    labels = bands.labels(room.centre_frequencies)
+    old = dict(zip(run.materials, run.alpha, strict=True))
     rows, new = list[Row](), list[Row]()
     for name, area, alpha in zip(room.materials, room.areas, room.alpha, strict=True):
         if name not in old:
@@ -492,16 +380,6 @@ def _ends(made: Corrected) -> str:
     return f"from ({low}) to ({high}) m"
 
 
-def _to_calibrate(command: str, made: Corrected) -> str:
-    """Return how the corrected room is calibrated; of one with a caution, after which step."""
-    if not made.caution:
-        return f"To calibrate {ROOM}: {command}."
-    return (
-        f"Do not calibrate {ROOM} before the effect is confirmed, because a calibration adapts to a "
-        f"wrong effect, too. Once it is confirmed: {command}."
-    )
-
-
 def correct(
     finding: Finding,
     out: Path,
@@ -524,6 +402,12 @@ def correct(
     made = finding.apply(effect=effect, form=form, at=at)
     if verification is not None:
         made = replace(made, caution=verification_words.misses(verification))
+    confirmed = "To calibrate it: "
+    if made.caution:
+        confirmed = (
+            "Do not calibrate it before the effect is confirmed, because a calibration adapts to a "
+            "wrong effect, too. Once it is confirmed: "
+        )
     step = words.first_step(finding, verification)
     warned = [*([made.caution] if made.caution else []), *([f"Next: {step}"] if step else [])]
     lines = [" ".join(words.headline(finding)), *warned]
@@ -536,20 +420,16 @@ def correct(
     lines += map(str, made.notes)
     lines += [f"{n}: {'; '.join(r.notes)}." for n, r in made.reports.items() if r.notes]
     if lists := made.reports:
-        in_none = [
-            lost
-            for lost in next(iter(lists.values())).lost
-            if all(lost in r.lost for r in lists.values())
-        ]
-        said = [f"The lists {listed([*lists])} do not contain: {'; '.join(in_none)}"]
+        lost: dict[str, list[str]] = {}
         for name, report in lists.items():
-            own = [lost for lost in report.lost if lost not in in_none]
-            said += [f"{name} does not contain {listed(own)} either"] if own else []
-        lines.append(f"{'; '.join(said)}.")
+            for what in report.lost:
+                lost.setdefault(what, []).append(name)
+        each = "; ".join(f"{what} ({', '.join(names)})" for what, names in lost.items())
+        lines.append(f"The lists do not contain: {each}.")
     if finding.kind == "positions":
         lines.append(
             f"{ROOM} is not calibrated: it holds the input coefficients and the new material. "
-            + _to_calibrate(f"rtcal fit {out / ROOM} MEASURED --out FOLDER", made)
+            f"{confirmed}rtcal fit {out / ROOM} MEASURED --out FOLDER."
         )
     record["corrected"] = made.to_dict()
     room = made.room
@@ -564,7 +444,7 @@ def correct(
             "",
             *lines_of(calibrated.blocks()),
             f"{ROOM} and {CASE} hold the input coefficients; only the table has the calibrated ones. "
-            + _to_calibrate(f"rtcal calibrate {out / ROOM} MEASURED --out FOLDER", made),
+            f"{confirmed}rtcal calibrate {out / ROOM} MEASURED --out FOLDER.",
             *(f"Note: {note}" for note in words.noted(finding)),
             *(["The room's file cannot hold:"] if made.notes else []),
             *(f"  - {note}" for note in made.notes),

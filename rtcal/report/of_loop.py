@@ -8,9 +8,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.marks import gap_jnd
 from rtcal.loop.closed import Loop
-from rtcal.loop.measured_pairs import sentences
 from rtcal.report import figures
 from rtcal.report.document import (
     Code,
@@ -18,13 +16,12 @@ from rtcal.report.document import (
     Page,
     Picture,
     Section,
-    cautions,
     coefficients,
+    summary,
     tables,
 )
 from rtcal.support import __version__
 from rtcal.support.blocks import Note
-from rtcal.support.text import as_sentence
 
 _STATUS_IN_WORDS = {
     "converged": "came within the goal",
@@ -42,68 +39,33 @@ _STATUS_IN_WORDS = {
 
 def page(loop: Loop) -> Page:
     """Return the page of a closed loop; DataError if it has no simulation."""
-    room, matched = loop.prior, loop.matched.label
+    room, matched, printed = loop.prior, loop.matched.label, loop.blocks()
     first = figures.path(loop)
-    return Page(
-        room.name,
-        room.author,
-        "calibration of a simulator in the closed loop",
-        [
-            Section("Summary", "summary"),
-            *map(Note, _summary(loop)),
-            *map(Note, sentences(loop.gaps_beside, room.centre_frequencies)),
-            Picture(
-                lambda: first,
-                f"By band: {matched}, and how far each simulation was off. One JND is 5 %.",
-            ),
-            Section("Tables", "tables"),
-            Note(
-                f"Only {matched} was fitted. Means over the positions, in the first simulation "
-                "and with the best coefficients of each band."
-            ),
-            *tables(loop.blocks()),
-            coefficients("Absorption coefficients: input → calibrated", room, loop.alpha),
-            Section("Cautions", "cautions"),
-            *cautions(loop.trust_marks),
-            Section("What was assumed", "assumed"),
-            Items(_assumed(loop)),
-            Section("How to reproduce", "reproduce"),
-            *_reproduced(loop),
-        ],
+    picture = Picture(
+        lambda: first,
+        f"By band: {matched}, and how far each simulation was off. One JND is 5 %.",
     )
+    blocks = [
+        *summary(printed, picture),
+        Items(_by_status(loop)),
+        Section("Tables", "tables"),
+        *tables(printed),
+        coefficients("Absorption coefficients: input → calibrated", room, loop.alpha),
+        Section("Technical details", "details"),
+        Items(_assumed(loop)),
+        *_reproduced(loop),
+    ]
+    return Page(room.name, room.author, "calibration of a simulator in the closed loop", blocks)
 
 
-def _summary(loop: Loop) -> list[str]:
-    """Return the loop as a few sentences."""
-    f, first = loop.prior.centre_frequencies, gap_jnd(loop.ends[0].simulated, loop.wanted)
-    n = loop.simulations
-    said = [as_sentence(mark.sentence) for mark in loop.trust_marks if "typing_error" in mark.kind]
-    said.append(
-        f"{loop.simulator or 'A simulator'} was run {n} time{'s' * (n != 1)}, and after each run the "
-        f"absorption coefficients were changed so that {loop.matched.label} comes nearer to what "
-        "was measured."
-    )
-    if (compared := np.isfinite(first) & np.isfinite(loop.gap)).any():
-        gap = np.where(compared, np.abs(loop.gap), -np.inf)
-        how = "in the best run of each band"
-        if loop.final is not None:
-            how = "with the returned coefficients in all bands"
-        if loop.confirmation is not None:
-            how += " and random numbers that the calibration did not use"
-        k = int(np.argmax(gap))
-        said.append(
-            f"The first run was off by {np.abs(first[compared]).max():.1f} JND in the worst band; "
-            f"{how}, {loop.matched.label} is off by {gap[k]:.1f} JND at most, at {f[k]:g} Hz."
-        )
-    status_of_bands = loop.status_now
+def _by_status(loop: Loop) -> list[str]:
+    """Return which bands ended how, a sentence for each status."""
+    f, said = loop.prior.centre_frequencies, list[str]()
     for status, description in _STATUS_IN_WORDS.items():
-        some = [float(v) for v, s in zip(f, status_of_bands, strict=True) if s == status]
+        some = [float(v) for v, s in zip(f, loop.status_now, strict=True) if s == status]
         if some:
             which = "All bands" if len(some) == len(f) else bands.hertz(some)
             said.append(f"{which} {description}.")
-    said += [] if loop.low is None else loop.low.doubts
-    if "not yet" in status_of_bands:
-        said.append("The loop is not finished: simulate again and run `rtcal loop next`.")
     return said
 
 
@@ -128,24 +90,17 @@ def _assumed(loop: Loop) -> list[str]:
 def _reproduced(loop: Loop) -> list[Any]:
     """Return the commands of the loop."""
     shares = loop.matched.shares
-    uneven = any(np.ptp(share) > 0 for share in shares.values())
     options = ["--method", loop.method, "--rule", loop.rule]
     if loop.equation != Eyring():
         options += ["--equation", loop.equation.key]
-    if len(shares) > 1 and not uneven:
+    if any(np.ptp(share) > 0 for share in shares.values()):
+        options.append("(weights by band: in Python, rtcal.loop.start(…, weights=…))")
+    elif len(shares) > 1:
         options += [text for p, s in shares.items() for text in ("--weight", f"{p}={s[0]:.3g}")]
     if loop.decimals:
         options += ["--decimals", str(loop.decimals)]
-    in_python = (
-        " (weights that differ between bands are given in Python: rtcal.loop.start(…, weights=…))"
-    )
     files = "--state loop.json --out next.toml"
     return [
-        Note(
-            "The state of the loop holds the room, the target and the outcome of every simulation. "
-            "With the room's file and the measurement that it was started with, and the same "
-            f"simulator{in_python if uneven else ''}:"
-        ),
         Code(
             f"rtcal loop start room.toml measured.csv {files} {' '.join(options)}\n\n"
             "(simulate next.toml, write simulated.csv, then, until it says Done:)\n"

@@ -16,13 +16,13 @@ from rtcal.loop.measured_pairs import Compared, Pair
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import room_view
 from rtcal.report.document import (
-    MOST_MATERIALS,
     Box,
     Code,
     Items,
     Page,
     Section,
     coefficients,
+    notes,
     tables,
 )
 from rtcal.simulators.base import Observations
@@ -31,14 +31,14 @@ from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import listed, numbers, with_uncertainty
 from rtcal.support.types import Array
 
-_LEARNED = 0.9
-"""Posterior over prior sigma up to which a material counts as learned in the summary."""
 _MISFIT = (
     "Misfit: squared deviation from what the other pairs predict, over its variance; 1 is usual."
 )
 _DEVIATION = "deviation / JND, before to after the fit"
-_REMAINS = 1.0
-"""Root mean square deviation in JND, audible, from which the page begins with what remains."""
+_AUDIBLE = 1.0
+"""Root mean square deviation in JND of a parameter from which model and measurement differ."""
+_STRONG = 2.0
+"""Shift in standard deviations at which the ground of a number saturates."""
 
 
 def _gap_table(
@@ -55,19 +55,21 @@ def _gap_table(
     n_bands) in JND. ``misfit`` (n_pairs,) gets a column of its own; None leaves it out.
     """
     columns = [parameter_label(p) for p in parameters]
-    own: list[list[str]] = [[]] * (len(pairs) + 1)
+    every = [*([i] for i in range(len(pairs))), [*range(len(pairs))]]
+    names = [*(" to ".join(pair) for pair in pairs), "all"]
+    cells = [
+        [
+            " to ".join(numbers(ends, ".1f"))
+            for ends in zip(*(rms(g[:, of], axis=(1, 2)) for g in (before, after)), strict=True)
+        ]
+        for of in every
+    ]
     if misfit is not None:
-        columns, own = (
-            [*columns, "misfit"],
-            [[m] for m in (*numbers(misfit, ".1f"), "-")],
-        )
-    rows = []
-    for i, more in enumerate(own):
-        name, chosen = ("all", slice(None)) if i == len(pairs) else (" to ".join(pairs[i]), [i])
-        ends = zip(*(rms(gap[:, chosen], axis=(1, 2)) for gap in (before, after)), strict=True)
-        rows.append(Row(name, [*(" to ".join(numbers(e, ".1f")) for e in ends), *more]))
-    note = "" if misfit is None else _MISFIT
-    return Table(columns, rows, title, "pair", note)
+        columns.append("misfit")
+        own = [*numbers(misfit, ".1f"), "-"]
+        cells = [[*row, each] for row, each in zip(cells, own, strict=True)]
+    rows = [Row(name, row) for name, row in zip(names, cells, strict=True)]
+    return Table(columns, rows, title, "pair", "" if misfit is None else _MISFIT)
 
 
 def blocks(result: PositionsResult) -> list[Block]:
@@ -126,130 +128,54 @@ def _material_table(result: PositionsResult) -> Table:
 
 def page(result: PositionsResult) -> Page:
     """Return the page of a calibration to every position."""
-    room, interval = result.prior, result.interval
-    order = [room.material_index(name) for name, _, _ in result.learned[:MOST_MATERIALS]]
-    *gaps, materials = tables(result.blocks())
-    headline = _headline(result)
-    left = len(room.materials) - len(order)
-    labels, at_bound = bands.labels(room.centre_frequencies), np.isin(result.alpha, (0.0, 1.0))
-    intervals = ", with 90 % intervals" if interval is not None else ""
-    runs = 0 if result.controls is None else len(result.controls.errors)
-    return Page(
-        room.name,
-        room.author,
-        "calibration of a simulator to what was measured at every position",
-        [
-            *([Box("contradicts", result.warning)] if result.warning else []),
-            *([Box("open", headline)] if headline else []),
-            Section("Summary", "summary"),
-            *(Note(sentence, kind="lead") for sentence in _summary(result)),
-            Table(
-                labels,
-                _times(result.matched),
-                "Decay times: means over the pairs that were fitted",
-            ),
-            *room_view.of_positions(result),
-            Section("Cautions", "cautions"),
-            Table(["Where and what", "What to do"], result.doubts, corner="Caution"),
-            *(
-                []
-                if result.doubts
-                else [Note("None of rtcal's checks found a reason for caution.")]
-            ),
-            Section("What was learned", "learned"),
-            Note(
-                "Sigma is the standard deviation of a coefficient, the root mean square over the "
-                "bands. The materials that the measurement determines best are first."
-            ),
-            replace(materials, corner="Material", most=range(len(order))),
-            Table(
-                labels,
-                [
-                    Row(room.materials[i], result.shift[i], "+.1f", result.shift[i] / 2)
-                    for i in order
-                ],
-                "Shift of each coefficient in prior standard deviations",
-                "Material",
-                "Above 2 either the prior sigma was too small, or something is missing.",
-            ),
-            coefficients(
-                f"Absorption coefficients: input → calibrated{intervals}",
-                room,
-                result.alpha,
-                interval,
-                at_bound,
-                order,
-            ),
-            *(
-                [
-                    Note(
-                        f"{left} further materials, which the measurement determines less, are in "
-                        "result.json."
-                    )
-                ]
-                if left
-                else []
-            ),
-            Section("Deviations by pair", "gaps"),
-            Note(
-                "Misfit is the deviation of a pair divided by what the other pairs lead to expect."
-            ),
-            *gaps,
-            *_held_out(result),
-            Section("What was assumed", "assumed"),
-            Note(
-                f"The coefficients are valid only for {result.simulator}. The interval "
-                "is that of a normal distribution. The simulator's error was learned from "
-                f"{runs} reference simulations."
-            ),
-            Items(result.every_note),
-            Section("How to reproduce", "reproduce"),
-            *_reproduced(result),
-            Note(f"rtcal {__version__}."),
-        ],
-    )
-
-
-def _headline(result: PositionsResult) -> str:
-    """Return what the calibrated simulator lacks of what was matched; "" where all is within 1 JND."""
-    left = {p: rms(gap) for p, gap in zip(result.parameters, result.gap_after, strict=True)}
-    far = sorted((p for p in left if left[p] >= _REMAINS), key=lambda p: -left[p])
-    if not far:
-        return ""
-    gaps = ", ".join(f"{parameter_label(p)} {left[p]:.1f} JND" for p in far)
-    said = (
-        "The calibrated simulator does not agree with the measurement. Remaining deviations, "
-        f"root mean square over pairs and bands: {gaps}."
-    )
-    measured = result.measured.observations
-    for key in (p for p in far if p in of_kind(DecaySlope)):
-        goal, time = (_mean(measured, of, key) for of in (measured, result.matched.after))
-        k = int(np.nanargmax(np.abs(time / goal - 1)))
-        said += (
-            f" {parameter_label(key)} is {time[k]:.2f} s instead of the measured {goal[k]:.2f} "
-            f"s, mean over the pairs at {bands.label(result.prior.centre_frequencies[k])}."
-        )
-    return said
-
-
-def _summary(result: PositionsResult) -> list[str]:
-    n, tested = len(result.pairs), ""
-    if result.held_out is not None:
-        before, after = rms(result.held_out.gap_before), rms(result.held_out.gap_after)
-        tested = f"; at the pairs that were held out it went from {before:.1f} to {after:.1f}"
-    learned = [name for name, old, new in result.learned if old and new <= _LEARNED * old]
-    most = ", ".join(f"“{name}”" for name in learned[:3])
-    return [
-        "The absorption coefficients were fitted to "
-        f"{', '.join(map(parameter_label, result.parameters))} at {n} pair{'s' * (n > 1)} of a "
-        "source and a receiver.",
-        f"The root mean square deviation went from {rms(result.gap_before):.1f} to "
-        f"{rms(result.gap_after):.1f} just noticeable differences (JND){tested}.",
-        f"The measurement determines {len(learned)} of {result.prior.n_materials} materials, most of "
-        f"{most}."
-        if learned
-        else "The measurement determines hardly any single material.",
+    room, printed = result.prior, result.blocks()
+    *gaps, materials = tables(printed)
+    lead, *further = notes(printed)
+    audible = any(rms(gap) >= _AUDIBLE for gap in result.gap_after)
+    level = "contradicts" if result.warning else "open" if audible else "agrees"
+    order = [room.material_index(name) for name, _, _ in result.learned]
+    labels = bands.labels(room.centre_frequencies)
+    shifts = [
+        Row(room.materials[i], result.shift[i], "+.1f", result.shift[i] / _STRONG) for i in order
     ]
+    runs = 0 if result.controls is None else len(result.controls.errors)
+    blocks = [
+        Box(level, lead),
+        Items(further),
+        Table(labels, _times(result.matched), "Decay times: means over the pairs that were fitted"),
+        *room_view.of_positions(result),
+        Section("What was learned", "learned"),
+        Note(
+            "Sigma is the standard deviation of a coefficient, the root mean square over the bands. "
+            "The materials that the measurement determines best are first."
+        ),
+        replace(materials, corner="Material"),
+        Table(
+            labels,
+            shifts,
+            "Shift of each coefficient in prior standard deviations",
+            "Material",
+            "Above 2 either the prior sigma was too small, or something is missing.",
+        ),
+        coefficients(
+            "Absorption coefficients: input → calibrated, below it the 90 % interval, of a normal "
+            "distribution",
+            room,
+            result.alpha,
+            result.interval,
+            np.isin(result.alpha, (0.0, 1.0)),
+            order,
+        ),
+        Section("Deviations by pair", "gaps"),
+        *gaps,
+        *_held_out(result),
+        Section("Technical details", "details"),
+        Note(f"The simulator's error was learned from {runs} reference simulations."),
+        *_reproduced(result),
+        Note(f"rtcal {__version__}."),
+    ]
+    subject = "calibration of a simulator to what was measured at every position"
+    return Page(room.name, room.author, subject, blocks)
 
 
 def _times(found: Compared) -> list[Row]:
@@ -277,11 +203,9 @@ def _held_out(result: PositionsResult) -> list[Any]:
     """Return the pairs that were left out: gaps of each, and the decay times."""
     left = result.held_out
     if left is None:
-        said = (
-            "No measured pair was held out. To test the fit, exclude a few: --exclude "
-            "SOURCE:RECEIVER."
-        )
-        return [Note(said, kind="note")]
+        return [
+            Note("To test the fit, exclude a few pairs: --exclude SOURCE:RECEIVER.", kind="note")
+        ]
     return [
         Section("Positions that were held out", "held-out"),
         Note(
@@ -324,10 +248,6 @@ def command(result: PositionsResult) -> str | None:
 def _reproduced(result: PositionsResult) -> list[Any]:
     repeated = command(result)
     if repeated is None:
-        said = (
-            "This calibration was made in Python with a simulator that the command does not have."
-        )
-        return [Note(said)]
-    stated = "S is the scattering coefficient used by the simulator."
-    more = [Note(stated)] if " S " in repeated else []
-    return [Code(f"{repeated}\nrtcal report fitted"), *more]
+        return [Note("The simulator was made in Python.")]
+    more = [Note("S is the scattering coefficient used by the simulator.")]
+    return [Code(f"{repeated}\nrtcal report fitted"), *more * (" S " in repeated)]

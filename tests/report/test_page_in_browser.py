@@ -18,7 +18,7 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     ordinary.write_text(html, encoding="utf-8")
     nasty.write_text(evil_html, encoding="utf-8")
     seen = chromium(tmp_path, ordinary, "--dump-dom")
-    assert "Cautions" in seen.stdout
+    assert "Technical details" in seen.stdout
     assert "plaster" in seen.stdout
     assert "CONSOLE" not in seen.stderr
     picture = tmp_path / "page.png"
