@@ -58,32 +58,23 @@ def calibrate(
     calibrate with `rtcal loop start --simulated`.
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.calibration import methods
+    from rtcal.report import figures
 
-    if out is not None:
-        from rtcal.report import figures
-
-        read = [path for path in (room, measured, modes) if path is not None]
-        spare([out / name for name in figures.FILES], read)
-    if modes is not None:
-        if (*stated.values(),) != ("mle", "clarabel", "raise"):
-            raise DataError(
-                "--method, --solver and --unreachable cannot be given with --modes, which "
-                "has a method of its own. Leave them out"
-            )
-        prior = console.read_room(room)
-        with console.without_air_warning():
-            data = console.measured(prior, measured, t20=t20, t30=t30)
-            by_modes = console.told_by_modes(prior, modes, data, equation)
-        if out is not None:
-            figures.write_folder(by_modes, out, {})
-        console.tell(str(by_modes), by_modes.to_dict)
-        return
+    spare([out / name for name in figures.FILES] if out else [], [room, measured, modes])
+    if modes is not None and (*stated.values(),) != ("mle", "clarabel", "raise"):
+        raise DataError(
+            "--method, --solver and --unreachable cannot be given with --modes, which has a method of "
+            "its own. Leave them out"
+        )
     prior = console.read_room(room)
-    with console.without_air_warning():
-        data = console.measured(prior, measured, t20=t20, t30=t30)
+    data = console.measured(prior, measured, t20=t20, t30=t30)
+    pictures: dict[str, Any] = {}
+    if modes is not None:
+        result: Any = console.told_by_modes(prior, modes, data, equation)
+    else:
         result = methods.calibrate(prior, data, equation=equation, **stated)
-    if out is not None:
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
+    if out is not None:
         figures.write_folder(result, out, pictures)
     console.tell(str(result), result.to_dict)
 
@@ -91,9 +82,7 @@ def calibrate(
 NOT_NEARER = 7
 """Exit code of a fit that returns its start."""
 _START = 0.1
-"""Scattering coefficient at which a fit starts where the room has none: a choice, which matters. In a
-simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 ended at 0.28, 0.27 and 0.54 in the mean. Alpha
-moved against that of 0.1 by up to 0.38 and 1.13 of the prior sigma."""
+"""Scattering coefficient at which a fit starts where the room has none: a choice, which matters."""
 
 
 @click.command(short_help="Calibrate to the measurement at every position, in the room's mesh.")
@@ -150,40 +139,37 @@ def fit(
     from rtcal.report import figures
 
     stated = Room.from_file(room)
-    if out is not None:
-        read = [path for path in (room, measured, stated.scene.mesh, modes) if path is not None]
-        spare([out / name for name in figures.POSITION_FILES], read)
+    read = [room, measured, stated.scene.mesh, modes]
+    spare([out / name for name in figures.POSITION_FILES] if out else [], read)
     data = console.read_measured(measured)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
-        if not console.is_quiet():
-            console.warn(
-                f"{room} has no scattering coefficients, so the fit starts with {_START:g} "
-                "for every material and band. Give another start with --scattering"
+        console.note(
+            f"{room} has no scattering coefficients, so the fit starts with {_START:g} for every "
+            "material and band. Give another start with --scattering"
+        )
+    prior = stated if modes is None else console.told_by_modes(stated, modes)
+    with console.errors_name_options("scattering", "n_paths"):
+        tracer = geometry_files.path_tracing(
+            stated,
+            scattering=scattering,
+            scattering_model=scattering_model,
+            n_paths=paths or console.PATHS,
+        )
+        with console.control_bar() as progress:
+            result = calibrate_positions(
+                tracer,
+                prior,
+                data,
+                match or MATCH,
+                exclude=console.pairs("--exclude", exclude),
+                cache=Path(room).parent / FOLDER,
+                position_uncertainty=stated.scene.position_uncertainty,
+                fit_scattering=not keep_scattering,
+                seed=seed,
+                progress=progress,
+                scheduler=scheduler,
             )
-    with console.without_air_warning():
-        prior = stated if modes is None else console.told_by_modes(stated, modes)
-        with console.errors_name_options("scattering", "n_paths"):
-            tracer = geometry_files.path_tracing(
-                stated,
-                scattering=scattering,
-                scattering_model=scattering_model,
-                n_paths=paths or console.PATHS,
-            )
-            with console.control_bar() as progress:
-                result = calibrate_positions(
-                    tracer,
-                    prior,
-                    data,
-                    match or MATCH,
-                    exclude=console.pairs("--exclude", exclude),
-                    cache=Path(room).parent / FOLDER,
-                    position_uncertainty=stated.scene.position_uncertainty,
-                    fit_scattering=not keep_scattering,
-                    seed=seed,
-                    progress=progress,
-                    scheduler=scheduler,
-                )
     if out is not None and (console.has("force") or not result.refused):
         at = tracer.geometry, tracer.sources, tracer.receivers
         pictures = {figures.PLAN: lambda: figures.position_gaps(result, *at)}
@@ -232,8 +218,7 @@ def learn(
     if room is not None and out is None:
         raise DataError("--apply needs --out, the file of the room that it writes")
     saved = [*map(str, Path(folder).rglob(NUMBERS))]
-    if out is not None:
-        spare([out / NUMBERS, out / LIBRARY_ROOM], [*saved, *([] if room is None else [room])])
+    spare([out / NUMBERS, out / LIBRARY_ROOM] if out else [], [*saved, room])
     called = console.texts("--as", entries, "MATERIAL=ENTRY")
     calibrated = archive.read_folder(folder)
     new = None if room is None else Room.from_file(room)

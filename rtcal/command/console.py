@@ -7,7 +7,6 @@ import os
 import re
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -86,9 +85,8 @@ def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
 def texts(option: str, stated: Sequence[str], form: str, *, last: bool = False) -> dict[str, str]:
     """Return the texts that a repeated option gives as NAME=VALUE, by name.
 
-    ``option`` is the option's name and ``form`` the expected form, both for error messages. ``stated``
-    are the user's texts. The name ends at the first =, or at the last one if ``last`` is True. Raises
-    DataError for another form, and for a name that is given twice.
+    The name ends at the first =, or at the last one if ``last`` is True. Raises DataError for another
+    form, and for a name that is given twice.
     """
     by_name: dict[str, str] = {}
     for text in stated:
@@ -181,19 +179,18 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
         if text != str(error):
             text += f". Give the option to `rtcal table {path} --out FILE`, and then use FILE"
         raise DataError(text) from error
-    told = not (quietly or is_quiet())
-    if table.columns and told:
-        measured = table.measurement
+    measured, notes = table.measurement, [*table.doubts]
+    if table.columns:
         n = len(measured.pairs)
         of = "means" if measured.is_summary else f"{n} pair{'s' * (n > 1)}"
-        warn(
-            f"{path}: {', '.join(p.upper() for p in measured.values)} of {of} in "
-            f"{len(measured.centre_frequencies)} bands; `rtcal table {path}` shows how it was read"
+        notes.insert(
+            0,
+            f"{', '.join(p.upper() for p in measured.values)} of {of} in "
+            f"{len(measured.centre_frequencies)} bands; `rtcal table {path}` shows how it was read",
         )
-    if told:
-        for doubt in table.doubts:
-            warn(f"{path}: {doubt}")
-    return table.measurement
+    for said in () if quietly else notes:
+        note(f"{path}: {said}")
+    return measured
 
 
 def stated_times(name: str, text: str, bands: Sequence[float]) -> Measurement:
@@ -254,8 +251,8 @@ def read_room(path: str) -> Room:
         return room  # importing the simulators takes longer than reading it
     from rtcal.io import geometry_files
 
-    if (doubt := geometry_files.mesh_doubt(room)) and not is_quiet():
-        warn(doubt)
+    if doubt := geometry_files.mesh_doubt(room):
+        note(doubt)
     return room
 
 
@@ -269,20 +266,14 @@ def told_by_modes(
     measured: Measurement | None = None,
     equation: LinearEquation | None = None,
 ) -> ModesResult:
-    """Return the calibration to a table of modes, or to the modes in a SOFA file's responses.
-
-    ``path`` is that of the table or SOFA file. ``measured`` has T above the Schroeder frequency; None
-    for a calibration to the modes alone. ``equation`` is the reverberation equation; None for Eyring's.
-    Raises DataError for the reasons of the files' readers.
-    """
+    """Return the calibration to a table of modes or a SOFA file's responses; T is ``measured``."""
     from rtcal.io import sofa
     from rtcal.modes import measured as tables
     from rtcal.modes.calibrate import calibrate_modes
-    from rtcal.support.speed import bar
 
     with expecting(TABLE, path):
         modes = sofa.read(path) if sofa.recognises(path) else tables.read(path)
-    with bar(1, "calculation", False, said()) as shown:
+    with progress_bar(1, "calculation", wanted=False) as shown:
         shown.set_description("room modes, minutes where a mesh has hundreds of them")
         return calibrate_modes(room, modes, measured, equation=equation)
 
@@ -544,24 +535,13 @@ def tell(
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
     if as_json:
-        whole = {
-            **(record() if callable(record) else record),
-            **({"written": made} if made else {}),
-        }
-        said = json_text(whole)
-        try:
-            said.encode(getattr(sys.stdout, "encoding", None) or "utf-8")
-            escape = printable(said) != said
-        except UnicodeEncodeError:
-            escape = True
-        if escape:  # characters that the terminal lacks or interprets
-            said = json_text(whole, ascii_only=True)
-    elif made:
+        whole = dict(record() if callable(record) else record)
+        said = json_text(whole | ({"written": made} if made else {}))
+    else:
         names = f"Written: {', '.join(map(str, made))}"
         names = names if len(names) <= width() else "\n  ".join(["Written:", *map(str, made)])
-        said = printable(fitted("\n".join(filter(None, [text, names, then]))))
-    else:
-        said = printable(fitted(text))
+        parts = [text, names, then] if made else [text]
+        said = printable(fitted("\n".join(filter(None, parts))))
     with printing():
         click.echo(said)
 
@@ -594,6 +574,12 @@ def warn(message: object) -> None:
         click.echo("\n".join(map(fitted, parts)) if wrapped else " ".join(parts), err=True)
 
 
+def note(message: object) -> None:
+    """Print a message as `warn` does, but not with ``--quiet``."""
+    if not is_quiet():
+        warn(message)
+
+
 def shown_warnings() -> Callable[..., None]:
     """Return the function that prints warnings during a command, each as one line without its source.
 
@@ -603,9 +589,10 @@ def shown_warnings() -> Callable[..., None]:
 
     def show(message: Warning | str, *_: object, **__: object) -> None:
         nonlocal few
-        if not is_quiet() and not (few and isinstance(message, FewPathsWarning)):
-            warn(message)
-        few = few or isinstance(message, FewPathsWarning)
+        of_paths = isinstance(message, FewPathsWarning)
+        if not (few and of_paths):
+            note(message)
+        few = few or of_paths
 
     return show
 
@@ -627,9 +614,11 @@ def fit_ending(option: str, path: str | None, *written: str) -> None:
         )
 
 
-def said() -> Callable[[str], None] | None:
-    """Return a function that prints progress in lines, in place of a bar; None with ``--quiet``."""
-    return None if is_quiet() else warn
+def progress_bar(total: int, unit: str, *, wanted: bool = True) -> Any:
+    """Return a bar on a terminal if it is ``wanted``, else lines; neither with ``--quiet``."""
+    from rtcal.support.speed import bar
+
+    return bar(total, unit, wanted and bar_wanted(), None if is_quiet() else warn)
 
 
 def bar_wanted() -> bool:
@@ -641,14 +630,7 @@ def bar_wanted() -> bool:
 def control_bar() -> Iterator[Callable[[int, int], None]]:
     """Show a bar of the simulator's reference simulations, and yield the function that counts them."""
     from rtcal.loop.measured_pairs import RUNS
-    from rtcal.support.speed import bar, following
+    from rtcal.support.speed import following
 
-    with bar(RUNS, "reference simulation", bar_wanted(), said()) as shown:
+    with progress_bar(RUNS, "reference simulation") as shown:
         yield following(shown)
-
-
-def without_air_warning() -> warnings.catch_warnings[None]:
-    """Return a context without the warning of a missing air, which the printed text contains."""
-    from rtcal.support.errors import MissingAirWarning
-
-    return warnings.catch_warnings(action="ignore", category=MissingAirWarning)

@@ -98,18 +98,17 @@ def measure(
     """
     from rtcal.acoustics.marks import given_twice, in_measurement
     from rtcal.io import impulse_responses, recordings, sofa
-    from rtcal.support.speed import bar
 
-    if interrupted and (sweep is not None or uncertainty or level):
-        other = "--sweep" if sweep is not None else "--uncertainty" if uncertainty else "--level"
-        why = {
-            "--sweep": "a recording holds either a sweep or stopped noise",
-            "--uncertainty": "the uncertainty is then given without it, by the stops and ISO 3382-2",
-            "--level": "stopped noise has the level of a steady sound",
-        }[other]
-        raise DataError(f"{other} cannot be given with --interrupted: {why}. Leave {other} out")
+    whys = {
+        "--sweep": (sweep, "a recording holds either a sweep or stopped noise"),
+        "--uncertainty": (uncertainty, "it is then given anyway, by the stops and ISO 3382-2"),
+        "--level": (level, "stopped noise has the level of a steady sound"),
+    }
+    for other, (stated, why) in whys.items() if interrupted else ():
+        if stated:
+            raise DataError(f"{other} cannot be given with --interrupted: {why}. Leave {other} out")
     given = responses if sweep is None else (*responses, sweep)
-    spare([path for path in (out, positions) if path is not None], given)
+    spare([out, positions], given)
     console.fit_ending("--out", out, *_TABLES)
     if positions is not None and len(responses) != 1:
         raise DataError(
@@ -119,7 +118,7 @@ def measure(
     scene = None if positions is None else sofa.read(responses[0]).positions_text()
     with (
         console.errors_name_options("channels", "repeats", "level"),
-        bar(len(responses), "response", console.bar_wanted(), console.said()) as shown,
+        console.progress_bar(len(responses), "response") as shown,
     ):
         read = (
             recordings.interrupted if interrupted else partial(impulse_responses.read, level=level)
@@ -144,8 +143,8 @@ def measure(
             f"{out} was not written, because no parameter could be determined. "
             f"{analysis.missing[0]} For all reasons run the command without --out"
         )
-    if nothing and not console.is_quiet():
-        click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
+    if nothing:
+        console.note("no parameter could be determined; the reasons are listed")
     if positions is not None and scene is not None:
         write_text(positions, scene)
     odd = [
@@ -154,15 +153,16 @@ def measure(
         for error in in_measurement(analysis.measurement)
     ]
     odd += given_twice(analysis.measurement)
-    for sentence in () if console.is_quiet() else odd:
-        console.warn(sentence)
-    notes = {
-        "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
-        "minimum_range_db": analysis.minimum_range,
-        "missing": analysis.missing,
-        "notes": (*odd, *analysis.notes),
-    }
-    _write_and_tell(analysis, notes, out)
+    for sentence in odd:
+        console.note(sentence)
+    _write_and_tell(
+        analysis,
+        out,
+        impulse_to_noise_ratio_db=analysis.impulse_to_noise_ratio,
+        minimum_range_db=analysis.minimum_range,
+        missing=analysis.missing,
+        notes=(*odd, *analysis.notes),
+    )
 
 
 @click.command(short_help="A measuring system's table (CSV, xlsx, REW) to a measurement.")
@@ -199,35 +199,25 @@ def table(paths: tuple[str, ...], where: tuple[str, ...], out: str | None, **sta
     """
     from rtcal.io import tables
 
-    spare([] if out is None else [out], paths)
+    spare([out], paths)
     console.fit_ending("--out", out, *_TABLES)
     with console.errors_name_options(*console.ARGUMENTS):
         entries = console.texts("--where", where, "NAME=ENTRY")
         table_read = tables.read(paths, where=entries, **stated)
     columns = tuple(console.as_options(line, console.ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
-    notes = {"columns": table_read.columns, "doubts": table_read.doubts}
-    _write_and_tell(table_read, notes, out)
+    _write_and_tell(table_read, out, columns=columns, doubts=table_read.doubts)
 
 
-def _write_and_tell(
-    analysis: Analysis | MeasuredTable,
-    notes: dict[str, Any],
-    out: str | None,
-) -> None:
-    """Write the file, then print the text, since ``| head`` closes the output early."""
+def _write_and_tell(analysis: Analysis | MeasuredTable, out: str | None, **notes: Any) -> None:
+    """Write the file and print the text."""
     from rtcal.io import tables
 
     measurement = analysis.measurement
     if out is not None:
         tables.write(measurement, out)
-    record = {
-        "centre_frequencies": measurement.centre_frequencies,
-        "pairs": measurement.pairs,
-        "values": measurement.values,
-        **notes,
-    }
-    console.tell(str(analysis), record)
+    of = ("centre_frequencies", "pairs", "values")
+    console.tell(str(analysis), {**{name: getattr(measurement, name) for name in of}, **notes})
 
 
 @click.command(short_help="A calibrated room into a program's material list, changed or new.")
@@ -269,15 +259,14 @@ def export(
     from rtcal.acoustics.room import Room
 
     module = getattr(io, program)
-    options: dict[str, Any] = {"template": template, "decimals": decimals}
+    called = console.texts("--as", entries, "MATERIAL=ENTRY")
+    options: dict[str, Any] = {"template": template, "decimals": decimals, "entries": called}
     if program in ("catt", "odeon"):
         options["missing_bands"] = missing_bands
     elif missing_bands != "refuse":
         raise DataError(
-            f"--missing-bands has no effect for {program}, because its list is written "
-            "with the bands of the room. Leave --missing-bands out"
+            f"--missing-bands: {program}'s list has the bands of the room. Leave it out"
         )
-    options["entries"] = console.texts("--as", entries, "MATERIAL=ENTRY")
     if template is None:
         disk.may_replace(materials)  # its numbers are what is asked to be changed
     if kind_of(materials) == ROOM and not kind_of(room):
@@ -332,7 +321,7 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
     console.folder("Folder to write; NAME if not given."),
 )
 def example(name: str, out: Path | None) -> None:
-    """Write the files of a small project, and print the commands that use them."""
+    """Write an example; the help of the command lists them."""
     from rtcal.datasets import examples
     from rtcal.support.text import shell
 
@@ -378,7 +367,6 @@ def report(result: str, out: str | None, heading: Heading) -> None:
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
     from rtcal.report import figures, pages
-    from rtcal.support.speed import bar
 
     if out == "":
         raise DataError("--out is empty; give the name of a file")
@@ -391,7 +379,7 @@ def report(result: str, out: str | None, heading: Heading) -> None:
         pages.write_workbook(result, target)
         console.tell("", {})
         return
-    with bar(_FIGURES, "figure", console.bar_wanted(), console.said()) as shown:
+    with console.progress_bar(_FIGURES, "figure") as shown:
         text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
     write_text(target, text)
     console.tell("", {"bytes": len(text.encode())})

@@ -24,7 +24,6 @@ from rtcal.files.schema import RESULT, kind_of
 from rtcal.support import __version__
 from rtcal.support.blocks import lines
 from rtcal.support.errors import DataError
-from rtcal.support.speed import bar
 
 if TYPE_CHECKING:
     from rtcal.finder.finding import Finding
@@ -88,19 +87,12 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
                 "ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
-        with_case = f" cannot be given with a case: write it into {path}, "
-        above = 'as program = "geometrical", above its [[configuration]]'
-        refuse(stated(options, "program"), f"{with_case}{above}")
-        refuse(
-            stated(options, *_OF_RUN),
-            f" cannot be given with a case: write it into {path}, below [[configuration]]",
-        )
+        refuse(stated(options, *_OF_RUN), f" cannot be given with a case: write it into {path}")
         case = Case.from_file(path)
         spare(targets, files_of(options))
         return case
     room = console.read_room(path)
-    read = [*files_of(options), *([] if room.scene.mesh is None else [room.scene.mesh])]
-    spare(targets, read)
+    spare(targets, [*files_of(options), room.scene.mesh])
     measured = console.measured(
         room,
         options.get("measured"),
@@ -201,7 +193,7 @@ def refuse(stated: Mapping[str, object], why: str) -> None:
 @contextmanager
 def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each step of a computation."""
-    with bar(0, unit, console.bar_wanted(), console.said()) as shown:
+    with console.progress_bar(0, unit) as shown:
 
         def progress(step: str, done: int, total: int) -> None:
             if done < shown.n or total != shown.total:
@@ -281,17 +273,13 @@ def compare(
     from rtcal.report import pages
     from rtcal.report.document import PAGE
 
-    files = {} if out is None else {name: out / name for name in (NUMBERS, PAGE)}
-    spare([*files.values()], [path for path in (room, measured, simulated, at) if path is not None])
+    spare([out / NUMBERS, out / PAGE] if out else [], [room, measured, simulated, at])
     stated = console.read_room(room)
-    with console.without_air_warning():
-        run, data = console.read_run(stated, simulated, at), console.read_measured(measured)
-        found = compared(stated, data, run, equation=equation)
+    run, data = console.read_run(stated, simulated, at), console.read_measured(measured)
+    found = compared(stated, data, run, equation=equation)
     if out is not None:
-        texts = (found.to_json(out), pages.page(found))
-        write_all(
-            {path: text.encode() for path, text in zip(files.values(), texts, strict=True)}, out
-        )
+        texts = {NUMBERS: found.to_json(out), PAGE: pages.page(found)}
+        write_all({out / name: text.encode() for name, text in texts.items()}, out)
     console.tell(str(found), found.to_dict)
 
 
@@ -454,25 +442,20 @@ def verify(
     from rtcal.report import of_finding
     from rtcal.report.document import page_files
 
-    read = [path for path in (found, before, after, simulated, calibrated) if path is not None]
+    read = [found, before, after, simulated, calibrated]
     spare([out / name for name in of_finding.WRITTEN] if out else [], read)
     finding, verification = saved(found)
     if before is not None or after is not None:
-        if finding.kind != "states":
+        if finding.kind != "states" or before is None or after is None:
             raise DataError(
-                "--before and --after can be used only with a finding of `rtcal find "
-                "--before`: leave them out"
+                "--before and --after belong together, and to a finding of `rtcal find --before`: give "
+                "both, with the same source-receiver pairs"
             )
-        if before is None or after is None:
-            raise DataError(
-                "only one of --before and --after is given: give both, with the same "
-                "source-receiver pairs"
-            )
-        measured: Any = {
+        further: Any = {
             "before": console.read_measured(before),
             "after": console.read_measured(after),
         }
-        verification = finder.verify(finding, **measured)
+        verification = finder.verify(finding, **further)
     runs = {"simulated": simulated, "calibrated": calibrated}
     some: dict[str, Any] = {
         n: console.read_measured(path) for n, path in runs.items() if path is not None
@@ -482,15 +465,13 @@ def verify(
         with console.errors_name_options(*runs, "effect", at="place"):
             verification = _verified(finding, kept_beside(found), **some)
     if verification is None:
-        why, nothing = finding.refusal, ""
-        if why is None and finding.kind == "means" and not finding.can_be_verified:
+        nothing = str(finding.refusal or "")
+        if not nothing and finding.kind == "means" and not finding.can_be_verified:
             together = "Several effects were found together; search with --most 1."
             nothing = f"Not verified. {of_finding.chosen(finding, found) or together}"
-        if why is not None or nothing:
-            nothing = nothing or str(why)
-            console.tell(
-                nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
-            )
+        if nothing:
+            record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+            console.tell(nothing, record)
             return
         verification = verified(finding, kept_beside(found))
         if verification is None:  # too few pairs, which this raises
@@ -603,7 +584,7 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
         "prior": (),
         "most": 1,
     }
-    finding = searched(defaults | options, [] if out is None else [out / name for name in files])
+    finding = searched(defaults | options, [out / name for name in files] if out else [])
     cache = kept_beside(options["case"])
     verification = verified(finding, cache, options["scheduler"])
     given = tuple(filter(None, (options["case"], options["measured"])))
@@ -634,7 +615,7 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
         "cost", "MEASUREMENT=HOURS", "Hours of a further measurement, such as G=0.5.", "costs"
     ),
     console.flag(
-        "all", "Name the effects that the data do not distinguish, for each effect.", "every"
+        "all", "Name the effects that the data do not distinguish, for each effect.", "all_named"
     ),
     writes=False,
 )
@@ -643,7 +624,7 @@ def plan(
     change: float | None,
     further: str | None,
     costs: tuple[str, ...],
-    every: bool,
+    all_named: bool,
 ) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
@@ -672,25 +653,23 @@ def plan(
             _tell_places(finding)
             return
         read = finding.case
-        stated = [] if further is None else Case.from_file(further).configurations
-        planned = [c for c in stated if c.planned]
+        every = [] if further is None else Case.from_file(further).configurations
     else:
         refuse({"case": further}, " needs a finding")
         read = Case.from_file(case)
-        planned = [c for c in read.configurations if c.planned]
-        measured = [c for c in read.configurations if not c.planned]
-        if measured:
+        every = read.configurations
+        if measured := [c for c in every if not c.planned]:
             read = replace(read, configurations=measured)
         else:
-            planned = []
+            every = ()  # all are planned, and none is to be proposed
     result = planned_with(
         read,
         change=CHANGE if change is None else change,
         finding=finding,
         costs=console.numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
-        planned=planned,
+        planned=[c for c in every if c.planned],
     )
-    console.tell("\n".join(lines(of_plan(result, every=every))), result.to_dict)
+    console.tell("\n".join(lines(of_plan(result, every=all_named))), result.to_dict)
 
 
 def _further_places(finding: Any) -> tuple[Place, ...]:

@@ -17,7 +17,6 @@ from rtcal.command import console
 from rtcal.command.files import PROGRAMS
 from rtcal.files.disk import commit, spare
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.speed import bar
 from rtcal.support.text import as_sentence, rounded, shortened
 from rtcal.support.text import listed as in_a_row
 
@@ -151,7 +150,7 @@ def check(
     Example: rtcal import check hall.glb --picture hall.png
     """
     console.fit_ending("--mended", mended, ".obj")
-    spare([path for path in (mended, picture) if path is not None], [mesh])
+    spare([mended, picture], [mesh])
     done = _read(mesh, as_drawn, leaks, picture, options)
     if mended is not None:
         _closed(done).save(mended)
@@ -172,13 +171,13 @@ def check(
 def _not_in_mesh(mesh: str, model: Mended) -> list[str]:
     """Return the sentence on the uncertainties that a mended mesh cannot keep; none without any."""
     relative = model.volume_uncertainty / model.volume
-    volume = [f"volume_sigma = {relative:.2g}"] * (relative > _LEAST_UNCERTAINTY)
-    areas = [f"area_sigma = {u:.2g} of {m}" for m, u in _area_sigma(model, model.areas).items()]
-    if not volume and not areas:
+    unsure = [f"volume_sigma = {relative:.2g}"] * (relative > _LEAST_UNCERTAINTY)
+    unsure += [f"area_sigma = {u:.2g} of {m}" for m, u in _area_sigma(model, model.areas).items()]
+    if not unsure:
         return []
     return [
         f"The mended mesh does not keep the uncertainty. Add to a room's file that is made from it "
-        f"{in_a_row([*volume, *areas])}; `rtcal import ... --mesh {mesh}` writes this by itself."
+        f"{in_a_row(unsure)}; `rtcal import ... --mesh {mesh}` writes this by itself."
     ]
 
 
@@ -210,8 +209,7 @@ def _imported(
     from rtcal.datasets import catalogue
     from rtcal.io.material_list import read_sigma
 
-    written = [path for path in (out, mended, picture) if path is not None]
-    spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
+    spare([out, mended, picture], [materials, mesh, sigma_table])
     console.fit_ending("--out", out, ".toml")
     console.fit_ending("--mended", mended, ".obj")
     options = {key: stated.pop(key) for key in ("unit", "space", "weld", "largest_hole")}
@@ -266,9 +264,12 @@ def _imported(
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
     taken = {name: others.get(name) or listed.listed(name) for name in used}
     of_sigma = f"{rule}; from the file: {', '.join(sigma)}" if sigma else assumed_sigma(rule, taken)
-    notes = [of_sigma, air_note(room)]
-    scatter = {name: material.scattering for name, material in taken.items()}
-    console.tell(*described(room, unused, notes + of_mesh, scatter))
+    without = [name for name, material in taken.items() if material.scattering is None]
+    if without and len(without) < len(taken) and room.scattering is None:
+        of_mesh.insert(
+            0, f"Scattering is left out, because {', '.join(without)} have none: give --scattering."
+        )
+    console.tell(*described(room, unused, [of_sigma, air_note(room), *of_mesh]))
 
 
 def _add_import(program: str) -> None:
@@ -321,7 +322,7 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
 
     with (
         console.errors_name_options("unit", "weld"),
-        bar(1, "step", False, console.said()) as shown,
+        console.progress_bar(1, "step", wanted=False) as shown,
     ):
         shown.set_description(f"mending of {mesh}")
         try:
@@ -335,7 +336,16 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
             chords = _chords(error.leaking, leaks)
             takes_paths = chords is not None and chords.least_alpha <= _ABSORBING
             if leaks and error.unclosed is not None and chords is not None and takes_paths:
-                return _leaking(error.unclosed, error.leaking, chords)
+                return replace(
+                    error.unclosed,
+                    geometry=error.leaking,
+                    volume=chords.volume,
+                    volume_uncertainty=chords.volume_uncertainty,
+                    notes=(
+                        f"not closed, and taken with its holes: {chords}",
+                        *error.unclosed.notes,
+                    ),
+                )
             refused = str(error)
             if leaks and chords is not None:
                 refused += f". --leaks cannot be used, because the holes are too large: {chords}"
@@ -377,17 +387,6 @@ def _chords(leaking: Polyhedron | None, asked: bool) -> Chords | None:
     if not asked and by_chords(leaking, _FEW_RAYS).lost > _LARGE_HOLE:
         return None
     return by_chords(leaking)
-
-
-def _leaking(drawn: Mended, geometry: Polyhedron | None, chords: Chords) -> Mended:
-    """Return the room of a mesh with its holes, with V by rays."""
-    return replace(
-        drawn,
-        geometry=geometry,
-        volume=chords.volume,
-        volume_uncertainty=chords.volume_uncertainty,
-        notes=(f"not closed, and taken with its holes: {chords}", *drawn.notes),
-    )
 
 
 def _check_leaks(room: Room, model: Mended) -> None:
@@ -545,38 +544,29 @@ def _require_all(
     known = {*listed.names, *listed.aliases, *found}
     if not (missing := [name for name in used if name not in known]):
         return
-    of_list = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
+    of_catalogue = program == "catalogue"
+    of_list = {} if of_catalogue else dict.fromkeys(listed.names, "")
     lines = []
     for name in missing[:_PROPOSED]:
         near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, of_list)]
         with suppress(MissingDependencyError):
-            near += (catalogue.nearest if len(missing) <= _DESCRIBED else catalogue.similar)(
-                name, 3
-            )
-        near = near or [
-            "no entry. Say in other words what it is: --catalogue "
-            f'"{name}=carpet" lists the kinds of carpet'
-        ]
-        lines.append(f'\n- "{name}" is similar to {"; ".join(near)}')
-    if len(missing) > _DESCRIBED:
-        words = missing[0].replace("_", " ")
-        lines.append(f'\n--catalogue "{missing[0]}={words}" lists similar entries')
-    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
-    options += f" and so on, for {len(missing)} materials" * (len(missing) > _DESCRIBED)
-    where = "the catalogue" if program == "catalogue" else listed.path
+            near += catalogue.nearest(name, 3)
+        lines.append(f'\n- "{name}" is similar to {"; ".join(near) or "no entry"}')
+    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_PROPOSED])
     own = ""
-    if program != "catalogue":
+    if not of_catalogue:
         own = f".\nThe list has: {shortened(', '.join([*listed.names, *listed.aliases]), 200)}"
         options = (
             f'one of its names (--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
         )
+    more = f" and {len(missing) - _PROPOSED} more" * (len(missing) > _PROPOSED)
     raise DataError(
-        f"{place}: some materials are not in {where}:{';'.join(lines)}{own}.\nGive {options}"
+        f"{place}: some materials are not in {'the catalogue' if of_catalogue else listed.path}:"
+        f'{";".join(lines)}{more}{own}.\nGive {options}. --catalogue "{missing[0]}=carpet" lists the '
+        "kinds of carpet"
     )
 
 
-_DESCRIBED = 3
-"""Largest number of missing materials whose proposals are described."""
 _PROPOSED = 12
 """Largest number of missing materials for which a message has proposals."""
 
@@ -612,19 +602,12 @@ def assumed_sigma(rule: SigmaRule, used: Mapping[str, ListedMaterial]) -> str:
     return f"Assumed standard deviation of alpha: {rule}{apart}"
 
 
-def described(
-    room: Room, unused: list[str], notes: list[str], scattering: dict[str, Any]
-) -> tuple[str, dict[str, Any]]:
+def described(room: Room, unused: list[str], notes: list[str]) -> tuple[str, dict[str, Any]]:
     """Return the room, the assumptions beyond the list, and what was left out: a text and a record."""
     from rtcal.acoustics.bands import span
     from rtcal.acoustics.marks import of_input
 
     notes = [*(doubt.sentence for doubt in of_input(room)), *notes]
-    without = [name for name, values in scattering.items() if values is None]
-    if without and len(without) < len(scattering) and room.scattering is None:
-        notes.append(
-            f"Scattering is left out, because {', '.join(without)} have none: give --scattering."
-        )
     by_source: dict[tuple[str, str], list[str]] = {}
     for name, source in room.sources.items():
         of = "the area per" if name in room.pieces else "alpha of"

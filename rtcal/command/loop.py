@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 import numpy as np
 
 from rtcal.command import console
 from rtcal.files.disk import spare
-
-if TYPE_CHECKING:
-    pass
 
 _STATE = console.file("state", "File of the loop's state (JSON).", required=True)
 _OUT = console.file("out", "Room to simulate next (TOML) to write.", required=True)
@@ -80,8 +77,7 @@ def start(
     from rtcal.loop import closed
     from rtcal.support import text
 
-    read = [path for path in (room, measured, modes, simulated, at) if path is not None]
-    spare([state, out], read)
+    spare([state, out], [room, measured, modes, simulated, at])
     closed.refuse_progress(state)
     prior, data = console.read_room(room), console.read_measured(measured)
     weighted = console.numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
@@ -96,9 +92,9 @@ def start(
         worst = float(np.nanmax(np.abs(begun.gap)))
         first = [
             f"{simulated} is the loop's first run: its T deviates from the measured T by up to "
-            f"{worst:.1f} JND."
+            f"{worst:.1f} JND.",
+            *begun.notes,
         ]
-        first += [line for said in begun.notes for line in text.wrapped(said)]
     record = {
         "state": state,
         "simulate": out,
@@ -109,20 +105,16 @@ def start(
     who = "the program is expected to give"
     if run is None:
         who = f"{begun.equation.name}'s equation gives"
-    said = f"With the coefficients in {out}, {who} the measured "
-    lines = [
-        *text.wrapped(f"{said}{begun.matched.label if weights else begun.matched.time_label}."),
+    matched = begun.matched.label if weights else begun.matched.time_label
+    said = [
+        f"With the coefficients in {out}, {who} the measured {matched}.",
         *(f"{band}. The coefficients with the nearest T are used." for band in unreachable),
         *first,
-        *(
-            line
-            for said in cautions(begun.marks_of_next, lettered=False)
-            for line in text.wrapped(said)
-        ),
-        *([] if begun.low is None else text.wrapped(begun.low.loop_note)),
-        closed.write(begun, state, out),
+        *cautions(begun.marks_of_next, lettered=False),
+        *([] if begun.low is None else [begun.low.loop_note]),
     ]
-    console.tell("\n".join(lines), record)
+    lines = [line for each in said for line in text.wrapped(each)]
+    console.tell("\n".join([*lines, closed.write(begun, state, out)]), record)
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")

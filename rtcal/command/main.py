@@ -30,7 +30,12 @@ from rtcal.command.room import materials, room
 from rtcal.files import disk
 from rtcal.files.schema import OtherKindError, kind_of
 from rtcal.support import __version__
-from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
+from rtcal.support.errors import (
+    MissingAirWarning,
+    MissingDependencyError,
+    RtcalError,
+    SolverError,
+)
 from rtcal.support.text import decimal_comma, shortened
 
 EXIT_CODES = {
@@ -117,6 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             # A character that the terminal lacks is printed as a question mark.
             stream.reconfigure(errors="replace")
     with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MissingAirWarning)  # the printed text contains it
         warnings.showwarning = shown_warnings()
         sys.exit(_run(arguments))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,12 +41,6 @@ def told(found: Result, out: Path | None) -> None:
     if out is not None:
         found.save(out)
     console.tell(str(found), found.to_dict)
-
-
-def read_changes(path: str, kind: str, read: Callable[[str], Any]) -> Any:
-    """Return the result of ``read`` for the text of a file of this kind; errors name the file."""
-    with expecting(kind, path):
-        return read(read_text(path, MAX_BYTES))
 
 
 @click.command(short_help="Predict T after changes of a room, and how sure that is.")
@@ -101,11 +94,9 @@ def predict(
             f"{room} is not the result of a calibration. Give a folder that `rtcal "
             "calibrate --out` or `rtcal fit --out` wrote"
         )
-    variants, target = read_changes(
-        change,
-        "a file of variants",
-        lambda text: read_variants(text, before, catalogue.material, Path(change).parent),
-    )
+    with expecting("a file of variants", change):
+        text = read_text(change, MAX_BYTES)
+        variants, target = read_variants(text, before, catalogue.material, Path(change).parent)
     run = console.read_run(before, simulated, at)
     if run is None and any(v.simulated is not None for v in variants):
         raise DataError(
@@ -126,10 +117,10 @@ def predict(
         if known is None:
             told(predict_variants(known_room(before, equation), variants, target=target), out)
             return
-        if before.scene.sources and not console.is_quiet():
-            console.warn(
-                "T is predicted by an equation. To predict every position, give a folder "
-                "of `rtcal fit` instead"
+        if before.scene.sources:
+            console.note(
+                "T is predicted by an equation. To predict every position, give a folder of `rtcal "
+                "fit` instead"
             )
         told(predict_variants(known, variants, target=target, run=run), out)
         return
@@ -189,8 +180,7 @@ def calibrated(
     for state, heard in zip(rooms, times, strict=True):
         tell_data(state, heard)
     if not also:
-        with console.without_air_warning():
-            return calibrate(rooms[0], times[0], equation=equation)
+        return calibrate(rooms[0], times[0], equation=equation)
     given = [
         (times_in_room(state, heard).fingerprint, state.areas.tolist())
         for state, heard in zip(rooms, times, strict=True)
@@ -205,8 +195,7 @@ def calibrated(
     names = [
         f"{name} ({i})" if every.count(name) > 1 else name for i, name in enumerate(every, start=1)
     ]
-    with console.without_air_warning():
-        joint = calibrate(Configurations(rooms, names), times, method="joint", equation=equation)
+    joint = calibrate(Configurations(rooms, names), times, method="joint", equation=equation)
     return joint.results[0]
 
 
@@ -252,9 +241,7 @@ def design(
             f"{room} is not the result of `rtcal calibrate`. Give a folder that `rtcal "
             "calibrate --out` wrote"
         )
-    stated, target, in_file = read_changes(
-        treatments,
-        "a file of treatments",
-        lambda text: read_treatments(text, result.prior, catalogue.material),
-    )
+    with expecting("a file of treatments", treatments):
+        text = read_text(treatments, MAX_BYTES)
+        stated, target, in_file = read_treatments(text, result.prior, catalogue.material)
     told(cheapest(result, stated, target, in_file if probability is None else probability), out)

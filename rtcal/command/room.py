@@ -139,20 +139,19 @@ def room(
             f"{'them' if missing[1:] else 'it'}, or use --ask to be asked for each value"
         )
     out = stated["out"]
-    spare([] if out is None else [out], [])
+    spare([out], [])
     console.fit_ending("--out", out, ".toml")
     made, notes = _made(materials, own, **stated)
     notes += [_UNCERTAINTY_OF_T] if times else []
-    said, record = described(made, [], notes, {})
+    said, record = described(made, [], notes)
     path = shlex.quote(out or "room.toml")
     which = "" if equation.key == "eyring" else f" --equation {equation.key}"
     then = f"Next: rtcal calibrate {path} t.csv{which}, or --t20 with T by band in place of t.csv"
     if times:
         from rtcal.calibration import methods
 
-        with console.without_air_warning():
-            measured = console.measured(made, None, t20=times.get("t20"), t30=times.get("t30"))
-            result = methods.calibrate(made, measured, equation=equation)
+        measured = console.measured(made, None, t20=times.get("t20"), t30=times.get("t30"))
+        result = methods.calibrate(made, measured, equation=equation)
         said, record = f"{result}\n\n{said}", {**record, "calibration": result.to_dict()}
         (option,) = times
         second = f'rtcal calibrate {path} --{option} "{times[option]}"{which}'
@@ -161,8 +160,7 @@ def room(
             "with --out calibrated, the second keeps the calibrated room."
         )
     else:
-        with console.without_air_warning():
-            t = equation.reverberation_time(made)
+        t = equation.reverberation_time(made)
         said = (
             f"T by {equation.name}'s equation: {', '.join(f'{each:.2f}' for each in t)} s in "
             f"{span(made.centre_frequencies)}\n{said}"
@@ -259,8 +257,8 @@ def _counted_twice(audience: int | None, counted: dict[str, float]) -> list[str]
     """Return notes on persons, and on chairs with persons on them, that are stated in two ways."""
     from rtcal.datasets import catalogue
 
-    described = catalogue.pieces()
-    of = {name: catalogue.holds(catalogue.found(name, described)[0]) for name in counted}
+    pieces = catalogue.pieces()
+    of = {name: catalogue.holds(catalogue.found(name, pieces)[0]) for name in counted}
     if audience is not None:
         of["--audience"], counted = {"person", "chair"}, {**counted, "--audience": audience}
     persons = {name: counted[name] for name in of if "person" in of[name]}
@@ -471,53 +469,52 @@ def _ask(
     from rtcal.acoustics.room import refuse_too_many, with_patches
     from rtcal.simulators.geometry import Polyhedron
 
-    def answer(
-        option: str, question: str, check: Callable[[str], Any], default: str | None = None
-    ) -> Any:
+    def answer(option: str, question: str, check: Any, default: str | None = None) -> Any:
         def checked(text: str) -> Any:
+            known = len(materials.notes)
             try:
-                return check(text)
+                value = check(text) if text else text
             except DataError as error:
                 raise click.UsageError(str(error)) from error
+            for note in materials.notes[known:]:
+                click.echo(f"  {note}", err=True)
+            return value
 
         try:
             return click.prompt(question, default, value_proc=checked, err=True)
         except click.Abort as error:
             if not isinstance(error.__context__, EOFError):
                 raise
-            needed = [n for n, _, _, usual in left() if usual is None]
-            options = ", ".join(f"--{each}" for each in needed or [option])
+            needed = ", ".join(f"--{n}" for n, *_, usual in left() if usual is None)
             raise DataError(
-                f'the input ended before "{question}" was answered; still missing: {options}'
+                f'the input ended before "{question}" was answered; still missing: '
+                f"{needed or f'--{option}'}"
             ) from error
 
+    def repeated(name: str, option: str, question: str, check: Callable[[str], str]) -> None:
+        """Ask for one more piece or object until the answer is empty."""
+        while added := answer(option, question, check, ""):
+            stated[name] = (*stated[name], added)
+
     def material(place: str, text: str) -> str:
-        known = len(materials.notes)
         materials.add(place, text)
-        for note in materials.notes[known:]:
-            click.echo(f"  {note}", err=True)
         return text
 
     def piece(text: str) -> str:
-        if text:
-            whole = Polyhedron.shoebox(_sides(stated["dimensions"])[0], "").surfaces
-            pieces = [*map(_piece, (*stated["pieces"], text))]
-            with_patches(whole, [(place, of, area) for place, area, of in pieces])
-            place, _, of = pieces[-1]
-            material(f"piece of {place}", of)
+        whole = Polyhedron.shoebox(_sides(stated["dimensions"])[0], "").surfaces
+        pieces = [*map(_piece, (*stated["pieces"], text))]
+        with_patches(whole, [(place, of, area) for place, area, of in pieces])
+        place, _, of = pieces[-1]
+        materials.add(f"piece of {place}", of)
         return text
 
     def counted(text: str) -> str:
-        if text:
-            x, y, z = _sides(stated["dimensions"])[0]
-            trial = _Materials(materials.bands)  # `_made` looks the pieces up once more, with notes
-            every = console.numbers("--object", (*stated["objects"], text), _OBJECT)
-            for each, n in every.items():
-                place = f'--object "{each}"'
-                of_one = trial.piece(each, checks.positive(place, n)).area_per_piece
-                refuse_too_many(place, n, of_one, 2 * (x * y + y * z + z * x))
-            for note in trial.notes[-1:]:
-                click.echo(f"  {note}", err=True)
+        x, y, z = _sides(stated["dimensions"])[0]
+        trial = _Materials(materials.bands)  # `_made` looks the pieces up once more, with notes
+        for each, n in console.numbers("--object", (*stated["objects"], text), _OBJECT).items():
+            place = f'--object "{each}"'
+            of_one = trial.piece(each, checks.positive(place, n)).area_per_piece
+            refuse_too_many(place, n, of_one, 2 * (x * y + y * z + z * x))
         return text
 
     def climate(name: str, text: str) -> float:
@@ -526,8 +523,7 @@ def _ask(
         return value
 
     def measured_time(text: str) -> str:
-        if text:
-            console.stated_times("t20", text, materials.bands)
+        console.stated_times("t20", text, materials.bands)
         return text
 
     questions: tuple[tuple[str, str, Callable[[str], Any], str | None], ...] = (
@@ -549,14 +545,9 @@ def _ask(
             check(str(stated[name]))
     for name, question, check, default in left():
         stated[name] = answer(name, question, check, default)
-    while not stated["pieces"] or stated["pieces"][-1]:
-        added = answer("piece", f"A window, a door ({_PIECE}), or nothing", piece, "")
-        stated["pieces"] = (*stated["pieces"], added)
-    stated["pieces"] = stated["pieces"][:-1]
-    while not stated["objects"] or stated["objects"][-1]:
-        question = f"Persons, seats, desks ({_OBJECT}: person seated=20), or nothing"
-        stated["objects"] = (*stated["objects"], answer("object", question, counted, ""))
-    stated["objects"] = stated["objects"][:-1]
+    repeated("pieces", "piece", f"A window, a door ({_PIECE}), or nothing", piece)
+    question = f"Persons, seats, desks ({_OBJECT}: person seated=20), or nothing"
+    repeated("objects", "object", question, counted)
     if not times:
         question = f"Measured T20 / s in {span(materials.bands)}, to calibrate, or nothing"
         if text := answer("t20", question, measured_time, ""):

@@ -363,15 +363,16 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 
 
 def spare(
-    written: Sequence[str | os.PathLike[str]], read: Sequence[str | os.PathLike[str]]
+    written: Sequence[str | os.PathLike[str] | None], read: Sequence[str | os.PathLike[str] | None]
 ) -> None:
     """Raise DataError if a path to be written is also read, or would be written twice.
 
-    ``written`` and ``read`` are the paths that a command writes and reads. The error is also raised if
-    the command would replace a file that rtcal did not write.
+    ``written`` and ``read`` are the paths that a command writes and reads, None for those of options
+    that are not given. The error is also raised if the command would replace a file that rtcal did not
+    write.
     """
-    taken = {Path(path).resolve(): path for path in read}
-    for path in written:
+    taken = {Path(path).resolve(): path for path in read if path is not None}
+    for path in filter(None, written):
         place = Path(path).resolve()
         if place in taken:
             raise DataError(
@@ -453,6 +454,6 @@ def json_numbers(value: Any) -> Any:
     return str(value)
 
 
-def json_text(record: Mapping[str, Any], *, ascii_only: bool = False) -> str:
-    """Return a record as JSON text, with other characters as escapes if ``ascii_only``."""
-    return json.dumps(json_numbers(record), indent=1, ensure_ascii=ascii_only, allow_nan=False)
+def json_text(record: Mapping[str, Any]) -> str:
+    """Return a record as JSON text; characters that are not ASCII are escapes."""
+    return json.dumps(json_numbers(record), indent=1, allow_nan=False)

@@ -262,7 +262,7 @@ def pictures(
         *drawn,
         Picture(
             lambda: figures.corrected_times(verification),
-            "T by band. A calibration without the effect has the measured T, too, which proves nothing.",
+            "T by band. A calibration without the effect has the measured T, too: it proves nothing.",
             name="reverberation_time",
         ),
         Picture(

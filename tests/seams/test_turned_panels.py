@@ -17,8 +17,8 @@ import pytest
 import rtcal as rt
 from rtcal.finder import Case, verify
 from rtcal.finder.search import find
-from rtcal.report.finding_words import title
-from rtcal.report.of_finding import rests_on, to_do
+from rtcal.report.document import notes
+from rtcal.report.finding_words import blocks, title
 from tests.test_discrepancy import controls_of
 
 TURNED = 0.9
@@ -69,7 +69,7 @@ def test_turned_panels_are_named_added_and_verified(
     assert done.sizes[1, 0, 0, 0] < 2
     assert done.corrected.off < 1
     assert "as closely as the uncertainty of T allows" in " ".join(str(done).split())
-    words = " ".join([*rests_on(finding, done), *to_do(finding, done)])
+    words = " ".join(notes(blocks(finding, done)))
     assert "speaks against" not in words
     assert "Use neither" not in words
     if again:  # alpha cannot be that of both states, so the gap shrinks, and only then is it proof
