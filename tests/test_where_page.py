@@ -161,7 +161,7 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     assert result.verdict == "unproven"
 
 
-def test_the_page_begins_with_the_answer_and_the_three_bars(
+def test_the_page_begins_with_the_answer_and_the_bars(
     finding: Finding, tmp_path: Path
 ) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
@@ -169,7 +169,7 @@ def test_the_page_begins_with_the_answer_and_the_three_bars(
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
     assert body.index("The room absorbs more") < body.index("is unproven") < body.index("<img")
-    assert "Three bars" in body[body.index("<img") :][:40]
+    assert "Mean deviation" in body[body.index("<img") :][:40]
     assert body.count("<img") == 3
     for alt in re.findall(r'<img alt="([^"]+)"', body):
         assert len(alt) > 60, alt

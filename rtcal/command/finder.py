@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,15 +77,10 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
     path, before = options["case"], options.get("before")
     spare(targets, [path])
     if _is_case(options):
-        if kind_of(path) == "a room" and before is None:
+        if kind_of(path) == "a room" or before is not None:
             raise DataError(
-                f"{path} is a room, and the measurement is missing. Give the file MEASURED "
-                "after it, or --t20 or --t30 of `rtcal find`"
-            )
-        if before is not None:
-            raise DataError(
-                "--before needs a room and the measurement after the change, in the order "
-                "ROOM AFTER --before BEFORE"
+                f"the measurement is missing: give the file MEASURED after {path}, or --t20 or --t30 "
+                "of `rtcal find`; with --before in the order ROOM AFTER --before BEFORE"
             )
         refuse(stated(options, *_OF_POSITIONS), _NEEDS_POSITIONS)
         refuse(stated(options, *_OF_RUN), f" cannot be given with a case: write it into {path}")
@@ -131,10 +127,7 @@ def read_case(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) ->
 
 
 def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> Any:
-    """Return the finding for a command's options; it is kept, so that the same search is made once.
-
-    ``options`` are those of `rtcal find`, and ``targets`` are the files that the command will write.
-    """
+    """Return the finding for the options of `rtcal find`, which is kept: a search is made once."""
     from rtcal.finder import Case, search
 
     case = read_case(options, targets)
@@ -225,18 +218,11 @@ def saved(path: str) -> tuple[Any, Any]:
 
 
 def verified(finding: Any, cache: Path, scheduler: str | None = None) -> Any:
-    """Return the verification of a finding, or None if it cannot be verified.
-
-    It is kept in the folder ``cache``. At positions, several seeds are simulated. ``scheduler`` is the
-    address of a Dask scheduler; None simulates on this machine.
-    """
+    """Return the verification of a finding, which is kept in ``cache``; None if it cannot be made."""
     if not finding.can_be_verified:
         return None
-
-    def verify() -> Any:
-        return _verified(finding, cache, scheduler=scheduler)
-
-    return _once(cache, finding, {"seeds": SEEDS}, verify)
+    make = partial(_verified, finding, cache, scheduler=scheduler)
+    return _once(cache, finding, {"seeds": SEEDS}, make)
 
 
 def _verified(finding: Any, cache: Path, **options: Any) -> Any:

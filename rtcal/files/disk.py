@@ -372,7 +372,7 @@ def spare(
     write.
     """
     taken = {Path(path).resolve(): path for path in read if path is not None}
-    for path in filter(None, written):
+    for path in (path for path in written if path is not None):
         place = Path(path).resolve()
         if place in taken:
             raise DataError(

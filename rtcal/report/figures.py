@@ -126,8 +126,7 @@ def of_materials(
         draw(axes, int(i))
         unit = "pieces" if materials[i] in pieces else "m²"
         axes.set_title(f"{shown(materials[i], 28)}, {areas[i]:.4g} {unit}", fontsize=9)
-    handles, labels = every[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(n, columns), fontsize=9)
+    _legend(figure, every[0], min(n, columns))
     return figure
 
 
@@ -180,6 +179,22 @@ def _times_axes(axes: Axes, frequencies: Array, label: str, top: float | None = 
     axes.legend()
 
 
+def _legend(figure: Any, axes: Axes, columns: int) -> None:
+    """Add a legend below a figure, with each label once."""
+    drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns, fontsize=9)
+
+
+def _outline(axes: Axes, geometry: Polyhedron) -> None:
+    """Draw the edges of a room from above, to scale."""
+    for face in geometry.faces:
+        x, y, _ = geometry.vertices[[*face, face[0]]].T
+        axes.plot(x, y, color="0.7", linewidth=1, zorder=1)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x / m")
+    axes.set_ylabel("y / m")
+
+
 def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: Any) -> None:
     """Write a text in points beside a place."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", fontsize=9, **style)
@@ -195,15 +210,10 @@ def reverberation_time(result: CalibrationResult) -> Any:
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
-    has_t = np.isfinite(measured)
+    error = np.nan_to_num(result.measured_uncertainty)
     jnd_band(axes, f, measured)
     axes.errorbar(
-        f[has_t],
-        measured[has_t],
-        yerr=np.nan_to_num(result.measured_uncertainty)[has_t],
-        **MEASURED,
-        capsize=3,
-        label="measured, ± standard uncertainty",
+        f, measured, error, **MEASURED, capsize=3, label="measured, ± standard uncertainty"
     )
     axes.plot(f, result.reverberation_time_before, **BEFORE, label="model before calibration")
     axes.plot(f, result.reverberation_time_after, **AFTER, label="model after calibration")
@@ -260,8 +270,7 @@ def disagreement(comparison: Comparison) -> Any:
         axes.errorbar(f, off, yerr=error, **style, label="mean")
         axes.set_title(parameter_label(p), fontsize=10)
     every[0].set_ylabel("run less measurement / JND", fontsize=9)
-    drawn = dict(zip(*reversed(every[0].get_legend_handles_labels()), strict=True))
-    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=4, fontsize=9)
+    _legend(figure, every[0], 4)
     return figure
 
 
@@ -539,27 +548,12 @@ def corrected_shifts(verification: Verification) -> Any:
 _SHOWN = 0.02
 """Smallest probability of a surface that is written beside it."""
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
-_KINDS = {
-    "^": "source",
-    "o": "receiver",
-    "*": "further receiver",
-    "X": "most probable part of its surface",
-}
 
 
 def likely_shares(finding: Finding) -> dict[str, float]:
     """Return the probability of each surface; 0 for all if none is likely to differ."""
     none = finding.verdict == "none" or not finding.likely_surfaces
     return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
-
-
-def _mark(axes: Axes, point: Sequence[float], marker: str, colour: str) -> None:
-    """Draw what stands in the room; the first of a kind has a label."""
-    label = _KINDS[marker]
-    if label in axes.get_legend_handles_labels()[1]:
-        label = f"_{label}"
-    style: dict[str, Any] = {"linestyle": "none", "markersize": 8, "zorder": 7, "label": label}
-    axes.plot(point[0], point[1], marker=marker, color=colour, **style)
 
 
 def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
@@ -586,21 +580,20 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     ]
     if axes is None:
         _, axes = new_figure(6.5, float(np.clip(6.0 * size[1] / size[0], 3.0, 6.5)) + 1.8)
+    _outline(axes, geometry)
     for name, faces in case.faces.items():
-        chance, wall = probability[name], kind(geometry, faces) == "wall"
-        for i in faces:
-            x, y, _ = geometry.vertices[[*geometry.faces[i], geometry.faces[i][0]]].T
-            axes.plot(x, y, color="0.6", linewidth=1 if wall else 0, zorder=1)
-            if wall and chance >= _SHOWN:
-                style = {"color": ORANGE, "alpha": min(1.0, 0.15 + chance), "linewidth": 7}
-                axes.plot(x, y, zorder=2, solid_capstyle="butt", **style)
+        chance = probability[name]
         if chance < _SHOWN:
             continue
         group = f" ({letter[name]})" if name in letter else ""
         label = f"{shown(name, 24)}{group}: {100 * chance:.0f} %"
-        if not wall:
+        if kind(geometry, faces) != "wall":
             above.append(label)
             continue
+        style = {"color": ORANGE, "alpha": min(1.0, 0.15 + chance), "linewidth": 7}
+        for i in faces:
+            x, y, _ = geometry.vertices[[*geometry.faces[i], geometry.faces[i][0]]].T
+            axes.plot(x, y, zorder=2, solid_capstyle="butt", **style)
         middle = np.average(
             [geometry.vertices[list(geometry.faces[i])].mean(axis=0)[:2] for i in faces],
             axis=0,
@@ -610,8 +603,6 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
         side = 0 if abs(middle[0] - centre[0]) < 0.3 * size[0] else middle[0] - centre[0]
         align = {0: "center", -1: "left", 1: "right"}[int(np.sign(side))]
         axes.annotate(label, middle, fontsize=9, ha=align, va="center", bbox=_BOX, zorder=9)
-    if finding.verdict != "none" and located is not None and located.middle is not None:
-        _mark(axes, located.middle, "X", BLACK)
     z = rms(finding.map, (0, 2))
     most = max(2.0, float(np.nanmax(z)))
     sources, receivers = case.simulator.sources, case.simulator.receivers
@@ -619,22 +610,20 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
         x, y, _ = np.array([sources[source], receivers[receiver]], dtype=float).T
         dark = min(value / most, 1.0)
         axes.plot(x, y, color=str(0.88 * (1 - dark)), linewidth=0.8 + 2.2 * dark, zorder=3)
-    stands = [(name, point, "^", BLACK) for name, point in sources.items()]
-    stands += [(name, point, "o", BLUE) for name, point in receivers.items()]
-    stands += [] if place is None else [("measure here", place.point, "*", GREEN)]
-    for name, point, marker, colour in stands:
-        _mark(axes, point, marker, colour)
-        _note(axes, shown(name, 12), point[:2], (6, 6), zorder=5, bbox=_BOX)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x / m", fontsize=9)
-    axes.set_ylabel("y / m", fontsize=9)
-    axes.tick_params(labelsize=9)
+    stands = [("source", "^", BLACK, *each) for each in sources.items()]
+    stands += [("receiver", "o", BLUE, *each) for each in receivers.items()]
+    if place is not None:
+        stands.append(("further receiver", "*", GREEN, "measure here", place.point))
+    if finding.verdict != "none" and located is not None and located.middle is not None:
+        stands.append(("most probable part of its surface", "X", BLACK, "", located.middle))
+    for what, marker, colour, name, point in stands:
+        axes.plot(*point[:2], marker, color=colour, markersize=8, zorder=7, label=what)
+        if name:
+            _note(axes, shown(name, 12), point[:2], (6, 6), zorder=5, bbox=_BOX)
     darkest = f"{float(np.nanmax(z)):.1f} standard deviations"
     above += ["line: source to receiver;", f"the darkest pair disagrees by {darkest}"]
     axes.set_title("\n".join(above), fontsize=9, loc="left")
-    handles, names = axes.get_legend_handles_labels()
-    below = {"loc": "outside lower center", "ncols": 3, "frameon": False}
-    axes.figure.legend(handles, names, fontsize=9, **below)
+    _legend(axes.figure, axes, 3)
     return axes.figure
 
 
@@ -690,21 +679,15 @@ def position_gaps(
     points = np.array([receivers[r] for r in names], dtype=float)
     drawn = None
     for panel, gap, when in zip(axes, gaps, ("before", "after"), strict=True):
-        for face in geometry.faces:
-            x, y, _ = geometry.vertices[[*face, face[0]]].T
-            panel.plot(x, y, color="0.75", linewidth=1)
+        _outline(panel, geometry)
         for name, place in sources.items():
             panel.plot(*place[:2], "^", color=ORANGE, markersize=9, label="source")
             _note(panel, shown(name, 12), place[:2], (6, 6))
         drawn = panel.scatter(*points.T[:2], c=gap, **style, label="receiver: its deviation in JND")
         for name, place, value in zip(names, points, gap, strict=True):
             _note(panel, f"{shown(name, 12)}: {value:.1f}", place[:2], (6, 6))
-        panel.set_aspect("equal")
         panel.set_title(f"{when} calibration: deviation {rms(gap):.1f} JND")
-        panel.set_ylabel("y / m")
-    axes[1].set_xlabel("x / m")
-    markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
-    figure.legend(markers.values(), markers, loc="outside lower center", ncols=2, fontsize=9)
+    _legend(figure, axes[0], 2)
     figure.colorbar(drawn, ax=list(axes), label="Root mean square deviation of a receiver / JND")
     return figure
 

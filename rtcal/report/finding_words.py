@@ -329,7 +329,7 @@ class _Forms(Formatter):
         if form == "spelt out":
             return f"{named(value)} (probability {percent(value.probability)})"
         if form == "likeliest":
-            return _and_more([likeliness(v) for v in value], _FEW)
+            return first_of([likeliness(v) for v in value], _FEW)
         if form == "check":
             return CHECKS.get(value, _CHECK)
         if form == "options":  # with the names that an option takes
@@ -398,15 +398,6 @@ def called(effect: str) -> str:
     if side in (ADDED, REMOVED) and kind:
         return f"{side} {'unknown absorber' if kind == UNKNOWN else NAMES.get(kind, kind)}"
     return NAMES.get(effect, effect)
-
-
-def _and_more(names: Sequence[str], most: int) -> str:
-    """Return names joined by "and"; of more than ``most`` the first ones, and how many are left.
-
-    >>> _and_more(["floor", "walls"], 2), _and_more(["floor", "walls", "door"], 2)
-    ('floor and walls', 'floor, walls and 1 more')
-    """
-    return first_of(names, most) if len(names) > most else listed(names)
 
 
 def named(c: Candidate) -> str:
@@ -646,8 +637,7 @@ def _nothing_missing(f: Finding) -> list[str]:
     equation errs by stands first.
     """
     program, at_pairs = f.case.has_run, f.kind == "positions"
-    off = [n for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF][:1]
-    said = [f"{str(n).removesuffix('.')}" for n in off]
+    off = [str(n) for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF][:1]
     who = "program" if program else "model"
     if f.differs:
         _, most = max(map(_largest, f.comparisons))
@@ -659,24 +649,15 @@ def _nothing_missing(f: Finding) -> list[str]:
             f"{most}.",
             "The uncertainty of the coefficients, together with "
             f"{open_}, can explain this difference.",
-            *(f"{one}." for one in said),
+            *off,
         ]
-    if off:
-        said = [
-            f"{said[0]}, so the equation's T is too {_LENGTH[off[0].values['side']]}, and the program "
-            "agrees with the measurement."
-        ]
-    agrees = f"The {who} agrees with the measurement{' in the mean over the pairs' * at_pairs}"
-    within = "at every pair within" if at_pairs else "within"
     return [
-        *said,
-        f"{within.capitalize() if said else f'{agrees}: {within}'} the uncertainty of input values, "
-        f"measurement and {'simulator' if at_pairs else who}, nothing is found to be missing from the "
+        *off,
+        f"The {who} agrees with the measurement{' in the mean over the pairs' * at_pairs}: "
+        f"{'at every pair ' * at_pairs}within the uncertainty of input values, measurement and "
+        f"{'simulator' if at_pairs else who}, nothing is found to be missing from the "
         f"{'room' if program else 'model'}.",
     ]
-
-
-_LENGTH = {"shorter": "short", "longer": "long"}
 
 
 def _of_several(f: Finding) -> list[str]:
@@ -927,18 +908,8 @@ def _details_at_positions(f: Finding) -> list[str]:
     said = [f"These positions do not distinguish {_quoted(g)}." for g in f.groups]
     grouped = {name for group in f.groups for name in group}
     asked = f.likely_surfaces if grouped and f.surface is None else ()
-    least = np.exp(-DISTINCT_NATS) * max(f.surfaces.values(), default=0.0)
-    left = [n for n in asked if n not in grouped]
-    less = [n for n in left if f.surfaces[n] < least]
-    if less:
-        said.append(f"Less than a tenth as probable as the most probable surface: {_quoted(less)}.")
-    if apart := [n for n in left if n not in less]:
-        # The groups are those of the most probable effect on a surface.
-        effect = next((c.effect for c in f.candidates if c.surface is not None), "it")
-        said.append(
-            f"Not ruled out: {_quoted(apart)}, where {called(effect)} was not "
-            "tried, or where these positions could distinguish it."
-        )
+    if left := [name for name in asked if name not in grouped]:
+        said.append(f"Less probable, but not ruled out: {_quoted(left)}.")
     return said
 
 
@@ -954,25 +925,19 @@ _VERDICTS = {
 
 def evidence(f: Finding) -> str:
     """Return the odds that something is missing, the odds required for detection, and the verdict."""
-    what = "changed" if f.kind == "states" else "is missing"
-    words = f.detection.deciding
-    score, threshold, of = f.score, f.threshold, ""
-    if words is not None:
-        part = f.detection.parts[words]
-        score, threshold, of = (
-            part.score,
-            part.threshold,
-            f" (only {words}, as all data give lower odds)",
-        )
-    required = odds(threshold)
+    found, what = f.detection, "changed" if f.kind == "states" else "is missing"
+    part: Any = f
+    of = ""
+    if found.deciding is not None:
+        part = found.parts[found.deciding]
+        of = f" (only {found.deciding}, as all data give lower odds)"
+    required = odds(part.threshold)
     required = "more than even odds" if required == "even" else f"odds of more than {required}"
-    given, which, again = f"odds of {odds(score)}", f"something {what}", ""
-    if odds(score) == "even":
+    given, which, again = f"odds of {odds(abs(part.score))}", f"something {what}", ""
+    if odds(part.score) == "even":
         given = "even odds"
-    elif score < 0:
-        # Odds below 1 are read more easily the other way round.
-        nothing = "nothing changed" if f.kind == "states" else "nothing is missing"
-        given, which, again = f"odds of {odds(-score)}", nothing, f" that {which}"
+    elif part.score < 0:  # odds below 1 are read more easily the other way round
+        which, again = f"nothing {what}", f" that something {what}"
     said = (
         f"In the mean over all effects, the data{of} give {given} that {which}. A detection requires "
         f'{required}{again}. The verdict in the files is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
@@ -982,7 +947,6 @@ def evidence(f: Finding) -> str:
             " The program is assumed to err as much as the reference simulations do, in addition to "
             "the errors of the model."
         )
-    found = f.detection
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
     if found.means is not None:

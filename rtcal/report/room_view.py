@@ -155,10 +155,16 @@ class RoomSection:
         """Deviations at the sources and receivers, and their colours."""
         gaps = np.array([s.gaps for s in self.stands], dtype=float)
         gaps = gaps.reshape(len(self.stands), len(self.whens))
-        most = float(np.ceil(np.nanmax(gaps, initial=2.0)))
-        name, whens = "Deviation / JND", tuple(self.whens)
-        ends: dict[str, Any] = {"low": 0.0, "high": most, "colours": GAPS}
-        return Quantity(name=name, head=name, columns=whens, values=gaps, digits=1, **ends)
+        return Quantity(
+            name="Deviation / JND",
+            head="Deviation / JND",
+            columns=tuple(self.whens),
+            values=gaps,
+            low=0.0,
+            high=float(np.ceil(np.nanmax(gaps, initial=2.0))),
+            colours=GAPS,
+            digits=1,
+        )
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
@@ -170,15 +176,11 @@ class RoomSection:
 
     def turn(self, tilt: float) -> float:
         """Return the turn in radians that shows most of the parts with high first values, by area."""
-        first = self.quantities[0]
+        first, geometry = self.quantities[0], self.geometry
         shares = np.nan_to_num(first.values[:, 0] - first.low) / (first.high - first.low)
-        weights = self.geometry.face_areas * (0.05 + np.append(shares, 0.0)[self.owners])
-
-        def seen(turn: float) -> float:
-            facing = self.geometry.normals @ into_picture(turn, tilt)
-            return float(weights @ np.clip(facing, 0, None))
-
-        return float(max(TURNS, key=seen))
+        weights = geometry.face_areas * (0.05 + np.append(shares, 0.0)[self.owners])
+        facing = [geometry.normals @ into_picture(turn, tilt) for turn in TURNS]
+        return float(TURNS[int(np.argmax(np.clip(facing, 0, None) @ weights))])
 
     @property
     def edges(self) -> NDArray[np.int64]:
@@ -259,16 +261,12 @@ class RoomSection:
         return f"'sha256-{base64.b64encode(digest).decode()}'"
 
 
-def _section(**of: Any) -> list[Any]:
+def _section(geometry: Polyhedron, **of: Any) -> list[Any]:
     """Return the room as a block of a page; of too many faces a note that it is not drawn."""
-    geometry = of["geometry"]
     if len(geometry.faces) > MOST_FACES or len(geometry.triangles) > MOST_TRIANGLES:
-        return [_missing(f"it has more than {MOST_FACES} faces or {MOST_TRIANGLES} triangles")]
-    return [RoomSection(**of)]
-
-
-def _missing(why: str) -> Note:
-    return Note(f"The room is not drawn: {why}.", kind="note")
+        why = f"it has more than {MOST_FACES} faces or {MOST_TRIANGLES} triangles"
+        return [Note(f"The room is not drawn: {why}.", kind="note")]
+    return [RoomSection(geometry=geometry, **of)]
 
 
 def _of_materials(geometry: Polyhedron, room: Room, alpha: Array, shift: Array) -> dict[str, Any]:
@@ -293,23 +291,18 @@ def absorption(
     columns = ("mean over the bands", *bands.labels(frequencies))
     highest = float(np.ceil(10 * max(stated.max(), calibrated.max(), 0.1))) / 10
     reach = float(np.ceil(max(2.0, np.abs(shift).max())))
+    alpha: dict[str, Any] = {"columns": columns, "low": 0.0, "high": highest, "colours": ABSORBS}
+    moved: dict[str, Any] = alpha | {"low": -reach, "high": reach, "colours": MOVES, "digits": 1}
 
-    def quantity(name: str, head: str, values: Array, **more: Any) -> Quantity:
-        table = np.column_stack([values.mean(axis=1), values])
-        return Quantity(name=name, head=head, columns=columns, values=table, **more)
+    def with_mean(values: Array) -> Array:
+        return np.column_stack([values.mean(axis=1), values])
 
-    alpha = {"low": 0.0, "high": highest, "colours": ABSORBS}
-    moved = {"low": -reach, "high": reach, "colours": MOVES, "digits": 1}
-    name = "Absorption coefficient"
+    after, before, by = map(with_mean, (calibrated, stated, shift))
+    name, shifted = "Absorption coefficient", "Shift of the coefficient in standard deviations"
     return [
-        quantity(f"{name}, calibrated", "α calibrated", calibrated, **alpha),
-        quantity(
-            "Shift of the coefficient in prior standard deviations",
-            "shift / σ",
-            shift,
-            **moved,
-        ),
-        quantity(f"{name}, input", "α input", stated, **alpha, still=False),
+        Quantity(name=f"{name}, calibrated", head="α calibrated", values=after, **alpha),
+        Quantity(name=shifted, head="shift / σ", values=by, **moved),
+        Quantity(name=f"{name}, input", head="α input", values=before, **alpha, still=False),
     ]
 
 
@@ -347,7 +340,7 @@ def of_calibration(result: CalibrationResult) -> list[Any]:
     try:
         geometry = geometry_files.read(room)
     except DataError as error:
-        return [_missing(str(error))]
+        return [Note(f"The room is not drawn: {error}.", kind="note")]
     shift = np.divide(
         result.alpha - room.alpha, room.sigma, out=np.zeros_like(room.alpha), where=room.sigma > 0
     )

@@ -194,11 +194,10 @@ def report(
         for level in sigma_r:
             stem, record = f"{room}-{level:g}", {"room": room, "sigma_r": level}
             if trials == 0:
-                table = analytic_scores(AREAS[room], level, realisations, seed, sampling=sampling)
-                result.blocks.append(_scores(room, level, sampling, table))
-                result.records.append({**record, "scores": table})
-                if with_files:
-                    result.files[f"{stem}-analytic-scores.csv"] = table_csv(table)
+                scores = analytic_scores(AREAS[room], level, realisations, seed, sampling=sampling)
+                result.blocks.append(_scores(room, level, sampling, scores))
+                result.records.append({**record, "scores": scores})
+                result.files[f"{stem}-analytic-scores.csv"] = table_csv(scores)
                 continue
             study = run(
                 AREAS[room],

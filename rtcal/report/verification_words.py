@@ -80,25 +80,20 @@ def _unproven(v: Verification, found: str, gain: str, measured: list[str]) -> li
 
 def sentence(v: Verification) -> str:
     """Return the verdict, the change of the deviation with its standard error, and the objections."""
-    if np.isnan(v.before) and v.runs and v.held_out:
-        said = [
-            "The correction is not tested: the second run does not have the data that the finding "
-            f"was not fitted to ({listed(v.held_out)}). Simulate them, too.",
-            _as_simulated(v),
-        ]
-    elif v.verdict == "not tested" and v.little_left:
-        left = next(str(reason) for reason in v.objections if reason.code == "little left")
-        said = [f"The correction is not tested at {listed(v.held_out)}: {left}.", _as_simulated(v)]
-    elif np.isnan(v.before):
-        said = [
-            "The correction is not tested: the finding was fitted to all that was measured. Measure "
-            "C80 or G, or a second configuration.",
-            _as_simulated(v),
-            "A smaller deviation there is no test, because size and name of the effect were fitted to "
-            "these values."
-            if v.again.size
-            else "",
-        ]
+    little = [str(reason) for reason in v.objections if reason.code == "little left"]
+    if np.isnan(v.before) or (v.verdict == "not tested" and little):
+        why = (
+            "the finding was fitted to all that was measured. Measure C80 or G, or a second "
+            "configuration."
+        )
+        if little:
+            why = f"at {listed(v.held_out)}, {little[0]}."
+        elif v.runs and v.held_out:
+            why = (
+                "the second run does not have the data that the finding was not fitted to "
+                f"({listed(v.held_out)}). Simulate them, too."
+            )
+        said = [f"The correction is not tested: {why}", _as_simulated(v)]
     else:
         supported = v.verdict == "supported"
         verb = "reduces" if v.gain > 0 else "increases"

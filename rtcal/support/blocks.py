@@ -157,7 +157,7 @@ def lines(blocks: Sequence[Block]) -> list[str]:
             out += [""] if out else []
             out += text.wrapped(block.title)
             rows = [(row.name, row.cells) for row in block.rows]
-            out += text.table(rows, header=(block.corner, list(block.columns)))
+            out += text.table(rows, header=(block.corner, block.columns))
             out += text.wrapped(block.note)
         else:
             out += [""] if isinstance(before, Table) or not block.text else []

@@ -129,15 +129,12 @@ def rounded(value: float, digits: int) -> str:
     return f"{float(f'{value:.{digits}g}'):.15g}"
 
 
-def table(
-    rows: Sequence[Row], *, header: Row | Sequence[Row] | None = None, gap: int = 2
-) -> list[str]:
+def table(rows: Sequence[Row], *, header: Row) -> list[str]:
     """Return a table as lines within `width`: columns that do not fit follow in further blocks.
 
-    Each of ``rows`` is a label and its cells; all rows have the same number of cells, which are aligned
-    to the right. ``header`` is one such line or several, which stand above each block, or None. Each
-    column is as wide as its widest cell, with ``gap`` blanks before it. A label that takes more than
-    two fifths of a line stands on lines of its own, above its cells.
+    Each row is a label and its cells, aligned to the right; all rows have as many cells as the
+    ``header``, which stands above each block. A label that takes more than two fifths of a line stands
+    on lines of its own, above its cells.
 
     Examples
     --------
@@ -146,33 +143,25 @@ def table(
                   125 Hz  250 Hz
     T before / s     2.1    1.95
     """
-    head = [header] if isinstance(header, tuple) else list(header or ())
-    lines = [*head, *rows]
+    every = [header, *rows]
     most = 2 * width() // 5
-    label_width = max((len(label) for label, _ in lines if len(label) <= most), default=0)
-    columns = list(zip(*(cells for _, cells in lines), strict=True))
-    widths = [gap + max(map(len, column)) for column in columns]
-    starts, used, text = [0], 0, list[str]()  # of blocks, each of one column or more
-    for column, space in enumerate(widths):
-        if used + space > width() - label_width and column > starts[-1]:
-            starts.append(column)
-            used = 0
-        used += space
-    for first, last in zip(starts, [*starts[1:], len(widths)], strict=True):
-        if text:
-            text.append("")
-        for row, (label, cells) in enumerate(lines):
-            if len(label) > most:
-                text += wrapped(label)
-            start = label if len(label) <= most else ""
-            shown = (
-                cell.rjust(space)
-                for cell, space in zip(cells[first:last], widths[first:last], strict=True)
-            )
-            line = (start.ljust(label_width) + "".join(shown)).rstrip()
-            if line or row >= len(head):  # a head of several lines may be lower in this block
-                text.append(line)
-    return text
+    label_width = max((len(label) for label, _ in every if len(label) <= most), default=0)
+    widths = [2 + max(map(len, column)) for column in zip(*(c for _, c in every), strict=True)]
+    blocks: list[list[int]] = [[]]
+    for column in range(len(widths)):
+        used = sum(widths[k] for k in [*blocks[-1], column])
+        if blocks[-1] and used > width() - label_width:
+            blocks.append([])
+        blocks[-1].append(column)
+    lines = list[str]()
+    for block in blocks:
+        lines += [""] if lines else []
+        for label, cells in every:
+            own = len(label) > most
+            lines += wrapped(label) if own else []
+            shown = "".join(cells[k].rjust(widths[k]) for k in block)
+            lines.append(f"{'' if own else label:{label_width}}{shown}".rstrip())
+    return lines
 
 
 def shortened(text: str, longest: int = 40) -> str:
@@ -209,15 +198,15 @@ def as_sentence(words: str) -> str:
 
 
 def first_of(names: Sequence[str], most: int) -> str:
-    """Return the first names in words, ``most`` at most, and how many more there are.
+    """Return names as `listed` does, ``most`` at most, and how many more there are.
 
     Examples
     --------
     >>> first_of(["floor", "walls"], 2), first_of(["floor", "walls", "door"], 2)
-    ('floor, walls', 'floor, walls and 1 more')
+    ('floor and walls', 'floor, walls and 1 more')
     """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + more
+    more = [f"{len(names) - most} more"] if len(names) > most else []
+    return listed([*names[:most], *more])
 
 
 _OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
