@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.table import band_rows, verdict
+from rtcal.calibration.table import of_bands, verdict
 from tests.conftest import room_of
 
 
@@ -19,10 +19,10 @@ def test_which_decay_time_is_matched_leads_where_they_are_mixed(cr2):
     mixed = rt.calibrate(
         room, rt.Measurement.from_values(room.centre_frequencies, t20=t20, t30=t30)
     )
-    leading = band_rows(mixed.to_dict())[0]
+    leading = of_bands(mixed.to_dict()).rows[0]
     assert leading.name == "matched"
     assert list(leading.cells) == ["T30", "T30", *["T20"] * 4]
-    assert band_rows(rt.calibrate(*cr2).to_dict())[0].name == "measured T / s"
+    assert of_bands(rt.calibrate(*cr2).to_dict()).rows[0].name == "measured T / s"
 
 
 @pytest.mark.parametrize(

@@ -203,10 +203,8 @@ def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: 
 def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T over frequency: measured with one JND, and before and after calibration.
 
-    A letter below a band stands for a caution, which the axis label names. The figure is a matplotlib
-    Figure.
-
-    ``result`` is what `rtcal.calibrate` returns.
+    A letter below a band stands for a caution, which the axis label names. ``result`` is what
+    `rtcal.calibrate` returns.
     """
     figure, axes = new_figure()
     f, measured = result.prior.centre_frequencies, result.measured
@@ -229,9 +227,8 @@ def reverberation_time(result: CalibrationResult) -> Any:
 def gap(result: CalibrationResult) -> Any:
     """Return the figure of modelled minus measured T in JND, before and after calibration.
 
-    The figure, a matplotlib Figure, has a bar for each band before and a dot after calibration.
-
-    ``result`` is what `rtcal.calibrate` returns.
+    It has a bar for each band before and a dot after calibration. ``result`` is what `rtcal.calibrate`
+    returns.
     """
     figure, axes = new_figure(7.0, 3.2)
     f = result.prior.centre_frequencies
@@ -278,9 +275,8 @@ def coefficients(result: CalibrationResult) -> Any:
     """Return the figure of input and calibrated alpha by material and band, with 90 % intervals.
 
     If there are more than twelve materials, those with the largest absorption area are drawn. The
-    interval of the input is alpha ± 1.645 sigma, limited to 0 to 1.
-
-    ``result`` is what `rtcal.calibrate` returns.
+    interval of the input is alpha ± 1.645 sigma, limited to 0 to 1. ``result`` is what
+    `rtcal.calibrate` returns.
     """
     room, (low, high) = result.prior, result.interval
     f = room.centre_frequencies
@@ -340,9 +336,8 @@ def plane(
     for n, style in ((1, "-"), (2, "--"), (3, ":")):
         ellipse = mu[:, np.newaxis] + n * sigma[:, np.newaxis] * (root @ circle)
         axes.plot(*ellipse, color="0.45", linestyle=style, linewidth=1, label=f"input, {n} σ")
-    points = [mu, alpha] if truth is None else [mu, alpha, np.asarray(truth, dtype=float)]
-    reach = np.maximum(3.3 * sigma, 1.2 * np.max(np.abs(np.array(points) - mu), axis=0))
-    reach = np.maximum(reach, 0.02)
+    points = [alpha] if truth is None else [alpha, np.asarray(truth, dtype=float)]
+    reach = np.max([3.3 * sigma, [0.02, 0.02], *(1.2 * np.abs(p - mu) for p in points)], axis=0)
     low, high = np.maximum(mu - reach, -0.02), np.minimum(mu + reach, 1.02)
     across = np.linspace(low[0], high[0], 2)
     line = (target - areas[0] * across) / areas[1]
@@ -352,11 +347,9 @@ def plane(
     )
     square = {**BEFORE, "linestyle": "none", "markersize": 8, "markerfacecolor": "white"}
     axes.plot(*mu, **square, label="input")
-    axes.plot(*alpha, color=BLUE, marker="o", markersize=8, linestyle="none", label="calibrated")
+    axes.plot(*alpha, "o", color=BLUE, markersize=8, label="calibrated")
     if truth is not None:
-        axes.plot(
-            *points[2], color=GREEN, marker="*", markersize=13, linestyle="none", label="true"
-        )
+        axes.plot(*points[1], "*", color=GREEN, markersize=13, label="true")
     for end in (0.0, 1.0):
         axes.axvline(end, color=BLACK, linewidth=0.6, linestyle="-.")
         axes.axhline(end, color=BLACK, linewidth=0.6, linestyle="-.")
@@ -519,7 +512,6 @@ def corrected_shifts(verification: Verification) -> Any:
 
     It has a panel for each material, with 90 % intervals; those of the input values are grey. If there
     are more than `MOST_PANELS` materials, those whose absorption area changed most are drawn.
-
     ``verification`` is what `rtcal.finder.verify` returns.
     """
     room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
@@ -562,9 +554,8 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     A line joins source and receiver of a pair. It is darker for a larger root mean square deviation, in
     standard deviations. A more probable wall is more orange. Surfaces that the positions do not
     distinguish have the same letter. ``place`` is a proposed position for a further receiver; None
-    draws none. ``axes`` are those to draw on; None means a new figure.
-
-    ``finding`` is what `rtcal.find` returns for a comparison at positions.
+    draws none. ``axes`` are those to draw on; None means a new figure. ``finding`` is what `rtcal.find`
+    returns for a comparison at positions.
     """
     from rtcal.finder.positions.surfaces import kind
 
@@ -631,7 +622,6 @@ def bars(verification: Verification, axes: Any = None) -> Any:
     """Return the figure of mean deviations at held-out data: input, calibrated and corrected model.
 
     Whiskers show the range over the seeds of the simulator. ``axes`` may be None for new ones.
-
     ``verification`` is what `rtcal.finder.verify` returns.
     """
     if axes is None:
@@ -662,10 +652,9 @@ def position_gaps(
     """Return plans of a room with receivers coloured by deviation, before and after calibration.
 
     The deviation of a receiver is the root mean square over parameters, bands and sources, in JND, and
-    is written beside its name. ``sources`` and ``receivers`` are positions (x, y, z) in m, by name.
-    Raises DataError if a receiver of the result has no position.
-
-    ``result`` is the calibration, and ``geometry`` is the room's mesh.
+    is written beside its name. ``result`` is the calibration, and ``geometry`` is the room's mesh.
+    ``sources`` and ``receivers`` are positions (x, y, z) in m, by name. Raises DataError if a receiver
+    of the result has no position.
     """
     names = list(dict.fromkeys(r for _, r in result.pairs))
     if missing := [name for name in names if name not in receivers]:

@@ -162,15 +162,10 @@ def _coefficients(c: Comparison) -> list[str]:
             "Wrong coefficients are not the cause: no coefficients within the sigma of the input "
             "remove these deviations."
         ]
-    if not no:
-        return [
-            "Wrong input coefficients may be the cause: other coefficients within their sigma remove "
-            f"the deviations of {listed(yes)}. Each band was tested by itself."
-        ]
+    part, others = ("a part of ", f", but not those of {listed(no)}") if no else ("", "")
     return [
-        "Wrong input coefficients may be a part of the cause: other coefficients within their sigma "
-        f"remove the deviations of {listed(yes)}, but not those of {listed(no)}. Each band was tested "
-        "by itself."
+        f"Wrong input coefficients may be {part}the cause: other coefficients within their sigma "
+        f"remove the deviations of {listed(yes)}{others}. Each band was tested by itself."
     ]
 
 

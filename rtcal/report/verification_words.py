@@ -240,15 +240,13 @@ def gaps(v: Verification) -> Table:
     sizes, rows = v.sizes, list[Row]()
 
     def row(name: str, by_seed: Array) -> None:
-        """Add a row: means over the seeds, and their standard deviation."""
-        spread = by_seed.std(axis=1, ddof=1) if by_seed.shape[1] > 1 else [None] * len(by_seed)
-        means = by_seed.mean(axis=1)
+        """Add a row: means over the seeds, and their standard deviation, which a run does not have."""
+        means, several = by_seed.mean(axis=1), by_seed.shape[1] > 1
+        spread = by_seed.std(axis=1, ddof=1) if several else np.zeros(len(means))
         if np.isfinite(means).all():
-            both = zip(means, spread, strict=True)
-            exact = [s is None or s < _EXACT for s in spread]  # of a program's run, too
             cells = [
-                f"{m:.2f}" if of_run else with_uncertainty(m, s, 2)
-                for (m, s), of_run in zip(both, exact, strict=True)
+                f"{m:.2f}" if s < _EXACT else with_uncertainty(m, s, 2)
+                for m, s in zip(means, spread, strict=True)
             ]
             rows.append(Row(name, cells))
 

@@ -41,7 +41,7 @@ def test_it_turns_to_the_address_and_chooses_a_surface(html) -> None:
     turned = dom(html, "#turn=90&tilt=-45&part=1&quantity=1&column=2")
     assert 'data-drawn="1.571 -0.785 1"' in turned
     said = re.findall(r'<output id="room-said" aria-live="polite">(.*?)</output>', turned)
-    assert said[0].startswith("ceiling: Shift of the coefficient in prior standard deviations")
+    assert said[0].startswith("ceiling: Shift of the coefficient in standard deviations")
     assert re.search(r", 500 Hz: \d\.\d$", said[0])
     assert re.search(r'<tr class="chosen"><td><span[^>]*></span><span class="name"><button', turned)
 
