@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +36,7 @@ from rtcal.support.errors import DataError
         "(reverberation_time.png, not with --modes). Nothing is written without it."
     ),
 )
-def calibrate(
-    room: str,
-    measured: str | None,
-    t20: str | None,
-    t30: str | None,
-    modes: str | None,
-    out: Path | None,
-    equation: Any,
-    **stated: Any,
-) -> None:
+def calibrate(args: Namespace) -> None:
     """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T and coefficients per band.
 
     \b
@@ -60,22 +52,25 @@ def calibrate(
     from rtcal.calibration import methods
     from rtcal.report import figures
 
-    spare([out / name for name in figures.FILES] if out else [], [room, measured, modes])
-    if modes is not None and (*stated.values(),) != ("mle", "clarabel", "raise"):
+    read = [args.room, args.measured, args.modes]
+    spare([args.out / name for name in figures.FILES] if args.out else [], read)
+    solving = args.method, args.solver, args.unreachable
+    if args.modes is not None and solving != ("mle", "clarabel", "raise"):
         raise DataError(
             "--method, --solver and --unreachable cannot be given with --modes, which has a method of "
             "its own. Leave them out"
         )
-    prior = console.read_room(room)
-    data = console.measured(prior, measured, t20=t20, t30=t30)
+    prior = console.read_room(args.room)
+    data = console.measured(prior, args.measured, t20=args.t20, t30=args.t30)
     pictures: dict[str, Any] = {}
-    if modes is not None:
-        result: Any = console.told_by_modes(prior, modes, data, equation)
+    if args.modes is not None:
+        result: Any = console.told_by_modes(prior, args.modes, data, args.equation)
     else:
-        result = methods.calibrate(prior, data, equation=equation, **stated)
+        options = console.rest(args, "room", "measured", "t20", "t30", "modes", "out")
+        result = methods.calibrate(prior, data, **options)
         pictures = {figures.FIGURE: lambda: figures.reverberation_time(result)}
-    if out is not None:
-        figures.write_folder(result, out, pictures)
+    if args.out is not None:
+        figures.write_folder(result, args.out, pictures)
     console.tell(str(result), result.to_dict)
 
 
@@ -107,20 +102,7 @@ _START = 0.1
         "Nothing is written without it."
     ),
 )
-def fit(
-    room: str,
-    measured: str,
-    match: tuple[str, ...],
-    exclude: tuple[str, ...],
-    scattering: float | None,
-    scattering_model: str | None,
-    keep_scattering: bool,
-    paths: int | None,
-    seed: int,
-    scheduler: str | None,
-    modes: str | None,
-    out: Path | None,
-) -> None:
+def fit(args: Namespace) -> None:
     """Calibrate ROOM (TOML) to every source-receiver pair of MEASURED (CSV) by path tracing.
 
     ROOM must have a mesh, sources and receivers (docs/files.md). If neither ROOM nor --scattering gives
@@ -138,42 +120,42 @@ def fit(
     from rtcal.loop.positions import calibrate_positions
     from rtcal.report import figures
 
-    stated = Room.from_file(room)
-    read = [room, measured, stated.scene.mesh, modes]
-    spare([out / name for name in figures.POSITION_FILES] if out else [], read)
-    data = console.read_measured(measured)
-    if stated.scattering is None and scattering is None and not keep_scattering:
-        scattering = _START
+    stated = Room.from_file(args.room)
+    read = [args.room, args.measured, stated.scene.mesh, args.modes]
+    spare([args.out / name for name in figures.POSITION_FILES] if args.out else [], read)
+    data = console.read_measured(args.measured)
+    if stated.scattering is None and args.scattering is None and not args.keep_scattering:
+        args.scattering = _START
         console.note(
-            f"{room} has no scattering coefficients, so the fit starts with {_START:g} for every "
+            f"{args.room} has no scattering coefficients, so the fit starts with {_START:g} for every "
             "material and band. Give another start with --scattering"
         )
-    prior = stated if modes is None else console.told_by_modes(stated, modes)
+    prior = stated if args.modes is None else console.told_by_modes(stated, args.modes)
     with console.errors_name_options("scattering", "n_paths"):
         tracer = geometry_files.path_tracing(
             stated,
-            scattering=scattering,
-            scattering_model=scattering_model,
-            n_paths=paths or console.PATHS,
+            scattering=args.scattering,
+            scattering_model=args.scattering_model,
+            n_paths=args.paths or console.PATHS,
         )
         with console.control_bar() as progress:
             result = calibrate_positions(
                 tracer,
                 prior,
                 data,
-                match or MATCH,
-                exclude=console.pairs("--exclude", exclude),
-                cache=Path(room).parent / FOLDER,
+                args.match or MATCH,
+                exclude=console.pairs("--exclude", args.exclude),
+                cache=Path(args.room).parent / FOLDER,
                 position_uncertainty=stated.scene.position_uncertainty,
-                fit_scattering=not keep_scattering,
-                seed=seed,
+                fit_scattering=not args.keep_scattering,
+                seed=args.seed,
                 progress=progress,
-                scheduler=scheduler,
+                scheduler=args.scheduler,
             )
-    if out is not None and (console.has("force") or not result.refused):
+    if args.out is not None and (console.has("force") or not result.refused):
         at = tracer.geometry, tracer.sources, tracer.receivers
         pictures = {figures.PLAN: lambda: figures.position_gaps(result, *at)}
-        figures.write_folder(result, out, pictures)
+        figures.write_folder(result, args.out, pictures)
     console.tell(str(result), result.to_dict)
     if result.refused:
         raise click.exceptions.Exit(NOT_NEARER)
@@ -197,13 +179,7 @@ LIBRARY_ROOM = "room.toml"
         "Folder for the archive (result.json), and with --apply for the room (room.toml)."
     ),
 )
-def learn(
-    folder: str,
-    entries: tuple[str, ...],
-    room: str | None,
-    scheduler: str | None,
-    out: Path | None,
-) -> None:
+def learn(args: Namespace) -> None:
     """Make a library of materials from the results of rtcal calibrate below FOLDER.
 
     Example: rtcal learn rooms --apply new.toml --out library
@@ -215,31 +191,31 @@ def learn(
     from rtcal.calibration import archive
     from rtcal.files.saved import NUMBERS
 
-    if room is not None and out is None:
+    if args.room is not None and args.out is None:
         raise DataError("--apply needs --out, the file of the room that it writes")
-    saved = [*map(str, Path(folder).rglob(NUMBERS))]
-    spare([out / NUMBERS, out / LIBRARY_ROOM] if out else [], [*saved, room])
-    called = console.texts("--as", entries, "MATERIAL=ENTRY")
-    calibrated = archive.read_folder(folder)
-    new = None if room is None else Room.from_file(room)
+    saved = [*map(str, Path(args.folder).rglob(NUMBERS))]
+    spare([args.out / NUMBERS, args.out / LIBRARY_ROOM] if args.out else [], [*saved, args.room])
+    called = console.texts("--as", args.entries, "MATERIAL=ENTRY")
+    calibrated = archive.read_folder(args.folder)
+    new = None if args.room is None else Room.from_file(args.room)
     of_room = {} if new is None else {m: e for m, e in called.items() if m in new.materials}
     known = {m for result in calibrated for m in archive.materials(result)}
     library = archive.learn(
         calibrated,
         {m: entry for m, entry in called.items() if m in known or m not in of_room},
-        scheduler=scheduler,
+        scheduler=args.scheduler,
     )
     said, record = str(library), library.to_dict()
     if others := len(saved) - len(calibrated):
         said += f"\nLeft out, results of other kinds: {others}"
-    if out is not None:
-        files = {out / NUMBERS: library.to_json(out).encode()}
+    if args.out is not None:
+        files = {args.out / NUMBERS: library.to_json(args.out).encode()}
         if new is not None:
             applied, left = library.apply(new, of_room), library.left_as_stated(new, of_room)
             record["left_as_stated"] = list(left)
             said = "\n".join([said, *(line for each in left for line in text.wrapped(each))])
-            files[out / LIBRARY_ROOM] = applied.to_text(out).encode()
-        write_all(files, out)
+            files[args.out / LIBRARY_ROOM] = applied.to_text(args.out).encode()
+        write_all(files, args.out)
     console.tell(said, record)
 
 
@@ -281,7 +257,7 @@ def learn(
     "scheduler",
     console.folder("Folder for the tables (CSV) and figures (PNG)."),
 )
-def study(out: Path | None, **stated: Any) -> None:
+def study(args: Namespace) -> None:
     """Score every calibration method in random rooms, beside the tables of Bellows & Katz (2025).
 
     The same --seed gives the same tables.
@@ -290,13 +266,14 @@ def study(out: Path | None, **stated: Any) -> None:
     """
     from rtcal.report import study_report
 
-    if out is not None:
-        make_folder(out)
+    stated = console.rest(args, "out")
+    if args.out is not None:
+        make_folder(args.out)
     with console.errors_name_options("sigma_r"):
         report = study_report.report(
-            **stated, progress=console.bar_wanted(), with_files=out is not None
+            **stated, progress=console.bar_wanted(), with_files=args.out is not None
         )
-    if out is not None:
-        write_all({out / name: content for name, content in report.files.items()})
+    if args.out is not None:
+        write_all({args.out / name: content for name, content in report.files.items()})
     settings = ("sampling", "realisations", "trials", "seed")
     console.tell(str(report), {**{k: stated[k] for k in settings}, "studies": report.records})

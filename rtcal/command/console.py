@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import time
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -451,14 +452,19 @@ OPTIONS: dict[str, Decorator] = {
 """The options that several commands have."""
 
 
-def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> Decorator:
+def rest(args: Namespace, *others: str) -> dict[str, Any]:
+    """Return the arguments and options of a command by name, without some ``others``."""
+    return {name: value for name, value in vars(args).items() if name not in others}
+
+
+def takes(*given: str | Decorator, writes: bool = True) -> Decorator:
     """Return the decorator that adds arguments and options to a command, in this order.
 
-    A name in ``given`` in upper case is the path of a file, optional if the name ends in a question
-    mark. Any other name is an option of `OPTIONS`. If ``shared`` is True, --json and --quiet follow,
-    and --force if the command ``writes`` files.
+    The command gets them as attributes of one object. A name in ``given`` in upper case is the path of
+    a file, optional if the name ends in a question mark. Any other name is an option of `OPTIONS`.
+    --json and --quiet follow, and --force if the command ``writes`` files.
     """
-    last = (("json", "quiet", "force") if writes else ("json", "quiet")) if shared else ()
+    last = ("json", "quiet", "force") if writes else ("json", "quiet")
 
     def decorator(one: str | Decorator) -> Decorator:
         if not isinstance(one, str):
@@ -468,10 +474,14 @@ def takes(*given: str | Decorator, writes: bool = True, shared: bool = True) -> 
         name = one.rstrip("?")
         return click.argument(name.lower(), type=click.Path(), required=name == one)
 
-    def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
+    def decorated(command: Callable[[Namespace], None]) -> Callable[..., Any]:
+        @functools.wraps(command)
+        def with_options(**options: Any) -> None:
+            command(Namespace(**options))
+
         for one in reversed((*given, *last)):
-            command = decorator(one)(command)
-        return command
+            with_options = decorator(one)(with_options)
+        return with_options
 
     return decorated
 

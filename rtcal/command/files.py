@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from argparse import Namespace
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,6 @@ from rtcal.support.errors import DataError
 if TYPE_CHECKING:
     from rtcal.io.impulse_responses import Analysis
     from rtcal.io.tables import MeasuredTable
-    from rtcal.report.document import Heading
 
 
 _TABLES = (".csv", ".xlsx")
@@ -73,19 +73,7 @@ _OUT = console.file("out", "Measurement (CSV, xlsx) to write.")
     ),
     _OUT,
 )
-def measure(
-    responses: tuple[str, ...],
-    bands: str | list[float] | None,
-    ranges: tuple[str, ...],
-    channels: str | None,
-    sweep: str | None,
-    interrupted: bool,
-    uncertainty: bool,
-    level: bool,
-    repeats: bool,
-    positions: str | None,
-    out: str | None,
-) -> None:
+def measure(args: Namespace) -> None:
     """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV, FLAC, AIFF, SOFA, ...).
 
     Prints why values are missing.
@@ -100,53 +88,56 @@ def measure(
     from rtcal.io import impulse_responses, recordings, sofa
 
     whys = {
-        "--sweep": (sweep, "a recording holds either a sweep or stopped noise"),
-        "--uncertainty": (uncertainty, "it is then given anyway, by the stops and ISO 3382-2"),
-        "--level": (level, "stopped noise has the level of a steady sound"),
+        "--sweep": (args.sweep, "a recording holds either a sweep or stopped noise"),
+        "--uncertainty": (args.uncertainty, "it is then given anyway, by the stops and ISO 3382-2"),
+        "--level": (args.level, "stopped noise has the level of a steady sound"),
     }
-    for other, (stated, why) in whys.items() if interrupted else ():
+    for other, (stated, why) in whys.items() if args.interrupted else ():
         if stated:
             raise DataError(f"{other} cannot be given with --interrupted: {why}. Leave {other} out")
-    given = responses if sweep is None else (*responses, sweep)
-    spare([out, positions], given)
-    console.fit_ending("--out", out, *_TABLES)
-    if positions is not None and len(responses) != 1:
+    given = args.responses if args.sweep is None else (*args.responses, args.sweep)
+    spare([args.out, args.positions], given)
+    console.fit_ending("--out", args.out, *_TABLES)
+    if args.positions is not None and len(args.responses) != 1:
         raise DataError(
             "--positions needs exactly one SOFA file, because several files use the same "
             "names for different positions. Give one SOFA file, or leave --positions out"
         )
-    scene = None if positions is None else sofa.read(responses[0]).positions_text()
+    channels = args.channels
+    if channels and channels.isdecimal():
+        channels = int(channels)
+    scene = None if args.positions is None else sofa.read(args.responses[0]).positions_text()
     with (
         console.errors_name_options("channels", "repeats", "level"),
-        console.progress_bar(len(responses), "response") as shown,
+        console.progress_bar(len(args.responses), "response") as shown,
     ):
-        read = (
-            recordings.interrupted if interrupted else partial(impulse_responses.read, level=level)
-        )
-        if sweep is not None:
-            read = partial(recordings.from_sweep, sweep=sweep, level=level)
+        read: Any = partial(impulse_responses.read, level=args.level)
+        if args.interrupted:
+            read = recordings.interrupted
+        if args.sweep is not None:
+            read = partial(recordings.from_sweep, sweep=args.sweep, level=args.level)
         analysis = read(
-            responses,
-            bands="octave" if bands is None else bands,
-            channels=int(channels) if channels and channels.isdecimal() else channels,
-            minimum_range=console.numbers("--minimum-range", ranges, "PARAMETER=DB"),
-            repeats=repeats,
+            args.responses,
+            bands="octave" if args.bands is None else args.bands,
+            channels=channels,
+            minimum_range=console.numbers("--minimum-range", args.ranges, "PARAMETER=DB"),
+            repeats=args.repeats,
             progress=lambda: shown.update(1),
         )
-    if uncertainty:
+    if args.uncertainty:
         analysis = replace(
             analysis, measurement=impulse_responses.with_uncertainty(analysis.measurement)
         )
     nothing = all(np.isnan(v).all() for v in analysis.measurement.values.values())
-    if nothing and out is not None:
+    if nothing and args.out is not None:
         raise DataError(
-            f"{out} was not written, because no parameter could be determined. "
+            f"{args.out} was not written, because no parameter could be determined. "
             f"{analysis.missing[0]} For all reasons run the command without --out"
         )
     if nothing:
         console.note("no parameter could be determined; the reasons are listed")
-    if positions is not None and scene is not None:
-        write_text(positions, scene)
+    if args.positions is not None and scene is not None:
+        write_text(args.positions, scene)
     odd = [
         f"{error.frequency:g} Hz: {error.text}: hardly the decay of a room. Check this response before "
         "anything else"
@@ -157,7 +148,7 @@ def measure(
         console.note(sentence)
     _write_and_tell(
         analysis,
-        out,
+        args.out,
         impulse_to_noise_ratio_db=analysis.impulse_to_noise_ratio,
         minimum_range_db=analysis.minimum_range,
         missing=analysis.missing,
@@ -188,7 +179,7 @@ def measure(
     console.several("sheets", "SHEET", "Read only this sheet of a workbook."),
     _OUT,
 )
-def table(paths: tuple[str, ...], where: tuple[str, ...], out: str | None, **stated: Any) -> None:
+def table(args: Namespace) -> None:
     """Read measuring systems' tables (CSV, Excel's xlsx, REW's and Dirac's text) as one measurement.
 
     Prints how each column was read.
@@ -199,14 +190,15 @@ def table(paths: tuple[str, ...], where: tuple[str, ...], out: str | None, **sta
     """
     from rtcal.io import tables
 
-    spare([out], paths)
-    console.fit_ending("--out", out, *_TABLES)
+    spare([args.out], args.paths)
+    console.fit_ending("--out", args.out, *_TABLES)
     with console.errors_name_options(*console.ARGUMENTS):
-        entries = console.texts("--where", where, "NAME=ENTRY")
-        table_read = tables.read(paths, where=entries, **stated)
+        entries = console.texts("--where", args.where, "NAME=ENTRY")
+        options = console.rest(args, "paths", "where", "out")
+        table_read = tables.read(args.paths, where=entries, **options)
     columns = tuple(console.as_options(line, console.ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
-    _write_and_tell(table_read, out, columns=columns, doubts=table_read.doubts)
+    _write_and_tell(table_read, args.out, columns=columns, doubts=table_read.doubts)
 
 
 def _write_and_tell(analysis: Analysis | MeasuredTable, out: str | None, **notes: Any) -> None:
@@ -239,15 +231,7 @@ def _write_and_tell(analysis: Analysis | MeasuredTable, out: str | None, **notes
         default="refuse",
     ),
 )
-def export(
-    program: str,
-    room: str,
-    materials: str,
-    template: str | None,
-    decimals: int | None,
-    entries: tuple[str, ...],
-    missing_bands: str,
-) -> None:
+def export(args: Namespace) -> None:
     """Write ROOM's coefficients into a program's MATERIALS; print the effect of the rounding on T.
 
     Numbers in the file MATERIALS are changed. If there is no such file, a new list of the room's
@@ -258,23 +242,23 @@ def export(
     from rtcal import io
     from rtcal.acoustics.room import Room
 
-    module = getattr(io, program)
-    called = console.texts("--as", entries, "MATERIAL=ENTRY")
-    options: dict[str, Any] = {"template": template, "decimals": decimals, "entries": called}
-    if program in ("catt", "odeon"):
-        options["missing_bands"] = missing_bands
-    elif missing_bands != "refuse":
+    module = getattr(io, args.program)
+    called = console.texts("--as", args.entries, "MATERIAL=ENTRY")
+    options = {"template": args.template, "decimals": args.decimals, "entries": called}
+    if args.program in ("catt", "odeon"):
+        options["missing_bands"] = args.missing_bands
+    elif args.missing_bands != "refuse":
         raise DataError(
-            f"--missing-bands: {program}'s list has the bands of the room. Leave it out"
+            f"--missing-bands: {args.program}'s list has the bands of the room. Leave it out"
         )
-    if template is None:
-        disk.may_replace(materials)  # its numbers are what is asked to be changed
-    if kind_of(materials) == ROOM and not kind_of(room):
-        other = OtherKindError(f"{room} is not a file of rtcal, but a room is needed here")
-        other.path, other.needed = room, ROOM
+    if args.template is None:
+        disk.may_replace(args.materials)  # its numbers are what is asked to be changed
+    if kind_of(args.materials) == ROOM and not kind_of(args.room):
+        other = OtherKindError(f"{args.room} is not a file of rtcal, but a room is needed here")
+        other.path, other.needed = args.room, ROOM
         raise other
     with console.errors_name_options("missing_bands", "decimals"):
-        done = module.write(Room.from_file(room), materials, **options)
+        done = module.write(Room.from_file(args.room), args.materials, **options)
     record = {
         "new_list": done.template is None,
         "template": done.template,
@@ -320,13 +304,13 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
     click.argument("name", type=click.Choice(tuple(_PURPOSES))),
     console.folder("Folder to write; NAME if not given."),
 )
-def example(name: str, out: Path | None) -> None:
+def example(args: Namespace) -> None:
     """Write an example; the help of the command lists them."""
     from rtcal.datasets import examples
     from rtcal.support.text import shell
 
-    project = examples.example(name)
-    into = out or Path(name)
+    project = examples.example(args.name)
+    into = args.out or Path(args.name)
     targets = {into / file: content for file, content in project.files.items()}
     if present := [path for path in targets if path.exists()]:
         raise DataError(
@@ -352,7 +336,7 @@ _FIGURES = 3
     ),
     console.heading_options,
 )
-def report(result: str, out: str | None, heading: Heading) -> None:
+def report(args: Namespace) -> None:
     """Write RESULT as one HTML page with summary, cautions, tables and figures, or as a workbook.
 
     RESULT is the folder that --out of `rtcal calibrate`, `fit`, `find`, `predict` or `design` wrote,
@@ -368,18 +352,18 @@ def report(result: str, out: str | None, heading: Heading) -> None:
     from rtcal.io import workbook
     from rtcal.report import figures, pages
 
-    if out == "":
+    if args.out == "":
         raise DataError("--out is empty; give the name of a file")
-    beside = Path(result) if Path(result).is_dir() else Path(result).parent
+    beside = Path(args.result) if Path(args.result).is_dir() else Path(args.result).parent
     kept = [beside / name for name in figures.FILES if (beside / name).exists()]
-    target = Path(out) if out is not None else beside / "report.html"
-    spare([target], [result, *kept])
-    console.fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
+    target = Path(args.out) if args.out is not None else beside / "report.html"
+    spare([target], [args.result, *kept])
+    console.fit_ending("--out", args.out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:
-        pages.write_workbook(result, target)
+        pages.write_workbook(args.result, target)
         console.tell("", {})
         return
     with console.progress_bar(_FIGURES, "figure") as shown:
-        text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
+        text = pages.page_of(args.result, heading=args.heading, progress=lambda: shown.update(1))
     write_text(target, text)
     console.tell("", {"bytes": len(text.encode())})

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -29,7 +30,6 @@ from rtcal.support.errors import DataError
 if TYPE_CHECKING:
     from rtcal.finder.finding import Finding
     from rtcal.finder.positions.places import Place
-    from rtcal.report.document import Heading
 
 CHANGE = 0.2
 """Relative change of T by each effect for which ``rtcal plan`` plans, where none is stated."""
@@ -244,9 +244,7 @@ def _verified(finding: Any, cache: Path, **options: Any) -> Any:
     "equation",
     console.folder("Folder for the page (report.html) and all numbers (result.json)."),
 )
-def compare(
-    room: str, measured: str, simulated: str | None, at: str | None, equation: Any, out: Path | None
-) -> None:
+def compare(args: Namespace) -> None:
     """Compare your program's results for ROOM (TOML) with MEASURED (CSV), by parameter, band and pair.
 
     Without --simulated, T of the reverberation equation is compared. Prints one sentence and one table
@@ -259,13 +257,15 @@ def compare(
     from rtcal.report import pages
     from rtcal.report.document import PAGE
 
-    spare([out / NUMBERS, out / PAGE] if out else [], [room, measured, simulated, at])
-    stated = console.read_room(room)
-    run, data = console.read_run(stated, simulated, at), console.read_measured(measured)
-    found = compared(stated, data, run, equation=equation)
-    if out is not None:
-        texts = {NUMBERS: found.to_json(out), PAGE: pages.page(found)}
-        write_all({out / name: text.encode() for name, text in texts.items()}, out)
+    read = [args.room, args.measured, args.simulated, args.at]
+    spare([args.out / NUMBERS, args.out / PAGE] if args.out else [], read)
+    stated = console.read_room(args.room)
+    run = console.read_run(stated, args.simulated, args.at)
+    data = console.read_measured(args.measured)
+    found = compared(stated, data, run, equation=args.equation)
+    if args.out is not None:
+        texts = {NUMBERS: found.to_json(args.out), PAGE: pages.page(found)}
+        write_all({args.out / name: text.encode() for name, text in texts.items()}, args.out)
     console.tell(str(found), found.to_dict)
 
 
@@ -313,7 +313,7 @@ def compare(
     ),
     console.heading_options,
 )
-def find(heading: Heading, out: str | None, **options: Any) -> None:
+def find(args: Namespace) -> None:
     """Print whether something is missing from a room's model, and what it is.
 
     Give the files of a ROOM and of what was MEASURED in it. If ROOM has a mesh, sources and receivers,
@@ -340,20 +340,20 @@ def find(heading: Heading, out: str | None, **options: Any) -> None:
     from rtcal.report.document import page_files
     from rtcal.report.finding_words import blocks
 
-    if out == "":
+    if args.out == "":
         raise DataError("--out is empty; give the name of a folder")
-    target = None if out is None else Path(out)
+    target = None if args.out is None else Path(args.out)
     if target is None or target.suffix == ".json":
-        finding = searched(options, [] if target is None else [target])
+        finding = searched(vars(args), [] if target is None else [target])
         if target is not None:
             finding.save(target)
         console.tell(str(finding), finding.to_dict)
         return
-    finding = searched(options, [target / name for name in of_finding.WRITTEN])
-    verification = verified(finding, kept_beside(options["case"]), options["scheduler"])
+    finding = searched(vars(args), [target / name for name in of_finding.WRITTEN])
+    verification = verified(finding, kept_beside(args.case), args.scheduler)
     place = next(iter(_further_places(finding)), None)
     made = of_finding.page(finding, verification, command(), place)
-    contents = page_files(made, verification or finding, target, heading)
+    contents = page_files(made, verification or finding, target, args.heading)
     write_all(contents, target)
     record = finding.to_dict()
     if verification is not None:
@@ -397,16 +397,7 @@ _PLACE = console.option(
     ),
     console.folder("Folder for the page (report.html), its figures and all numbers (result.json)."),
 )
-def verify(
-    found: str,
-    before: str | None,
-    after: str | None,
-    simulated: str | None,
-    calibrated: str | None,
-    effect: str | None,
-    at: tuple[float, ...] | None,
-    out: Path | None,
-) -> None:
+def verify(args: Namespace) -> None:
     """Verify that the effect which was found improves the model at data that it was not fitted to.
 
     FOUND is the folder that `rtcal find --out` wrote. The model is calibrated without and with the
@@ -428,44 +419,43 @@ def verify(
     from rtcal.report import of_finding
     from rtcal.report.document import page_files
 
-    read = [found, before, after, simulated, calibrated]
-    spare([out / name for name in of_finding.WRITTEN] if out else [], read)
-    finding, verification = saved(found)
-    if before is not None or after is not None:
-        if finding.kind != "states" or before is None or after is None:
+    read = [args.found, args.before, args.after, args.simulated, args.calibrated]
+    spare([args.out / name for name in of_finding.WRITTEN] if args.out else [], read)
+    finding, verification = saved(args.found)
+    if args.before is not None or args.after is not None:
+        if finding.kind != "states" or args.before is None or args.after is None:
             raise DataError(
                 "--before and --after belong together, and to a finding of `rtcal find --before`: give "
                 "both, with the same source-receiver pairs"
             )
         further: Any = {
-            "before": console.read_measured(before),
-            "after": console.read_measured(after),
+            "before": console.read_measured(args.before),
+            "after": console.read_measured(args.after),
         }
         verification = finder.verify(finding, **further)
-    runs = {"simulated": simulated, "calibrated": calibrated}
+    runs = {"simulated": args.simulated, "calibrated": args.calibrated}
     some: dict[str, Any] = {
         n: console.read_measured(path) for n, path in runs.items() if path is not None
     }
-    some |= stated({"effect": effect, "at": at}, "effect", "at")
+    some |= stated(vars(args), "effect", "at")
     if some:
         with console.errors_name_options(*runs, "effect", at="place"):
-            verification = _verified(finding, kept_beside(found), **some)
+            verification = _verified(finding, kept_beside(args.found), **some)
     if verification is None:
         nothing = str(finding.refusal or "")
         if not nothing and finding.kind == "means" and not finding.can_be_verified:
             together = "Several effects were found together; search with --most 1."
-            nothing = f"Not verified. {of_finding.chosen(finding, found) or together}"
+            nothing = f"Not verified. {of_finding.chosen(finding, args.found) or together}"
         if nothing:
             record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
             console.tell(nothing, record)
             return
-        verification = verified(finding, kept_beside(found))
+        verification = verified(finding, kept_beside(args.found))
         if verification is None:  # too few pairs, which this raises
             verification = finder.verify(finding)
-    if out is not None:
-        write_all(
-            page_files(of_finding.page(verification, command=command()), verification, out), out
-        )
+    if args.out is not None:
+        page = of_finding.page(verification, command=command())
+        write_all(page_files(page, verification, args.out), args.out)
     console.tell(str(verification), verification.to_dict)
 
 
@@ -481,7 +471,7 @@ def verify(
     _PLACE,
     _EFFECT,
 )
-def apply(found: str, out: str, **options: Any) -> None:
+def apply(args: Namespace) -> None:
     """Add what was found to the model, and write the room with it into a folder.
 
     FOUND is the folder that `rtcal find --out` wrote. The most probable effect is added, or the most
@@ -512,15 +502,16 @@ def apply(found: str, out: str, **options: Any) -> None:
     """
     from rtcal.report import of_finding
 
-    finding, verification = saved(found)
-    target = Path(out)
+    finding, verification = saved(args.found)
+    target = Path(args.out)
     if target.is_file() or target.suffix in _ENDINGS:
         what = "is a file" if target.is_file() else "is the name of a file"
         raise DataError(
-            f"--out {out} {what}, but the results need a folder. Give a folder, such as "
+            f"--out {args.out} {what}, but the results need a folder. Give a folder, such as "
             f"--out {target.with_suffix('')}"
         )
     with console.errors_name_options("effect", "form", at="place"):
+        options = console.rest(args, "found", "out")
         said, record, files = of_finding.correct(finding, target, verification, **options)
     if files:
         make_folder(target)
@@ -548,7 +539,7 @@ def apply(found: str, out: str, **options: Any) -> None:
     ),
     console.heading_options,
 )
-def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
+def diagnose(args: Namespace) -> None:
     """Find what is missing from a room's model, verify it, add it and calibrate the model.
 
     It does what `rtcal find`, `verify`, `apply` and `fit` do with their defaults, and prints these
@@ -570,14 +561,15 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
         "prior": (),
         "most": 1,
     }
-    finding = searched(defaults | options, [out / name for name in files] if out else [])
-    cache = kept_beside(options["case"])
-    verification = verified(finding, cache, options["scheduler"])
-    given = tuple(filter(None, (options["case"], options["measured"])))
+    targets = [args.out / name for name in files] if args.out else []
+    finding = searched(defaults | vars(args), targets)
+    cache = kept_beside(args.case)
+    verification = verified(finding, cache, args.scheduler)
+    given = tuple(filter(None, (args.case, args.measured)))
     result = replace(diagnosis(finding, verification, cache=cache), given=given)
-    if out is not None:
-        written = of_diagnosis.contents(result, out, heading)
-        write_all(written, out)
+    if args.out is not None:
+        written = of_diagnosis.contents(result, args.out, args.heading)
+        write_all(written, args.out)
     console.tell(str(result), result.to_dict)
 
 
@@ -605,13 +597,7 @@ def diagnose(heading: Heading, out: Path | None, **options: Any) -> None:
     ),
     writes=False,
 )
-def plan(
-    case: str,
-    change: float | None,
-    further: str | None,
-    costs: tuple[str, ...],
-    all_named: bool,
-) -> None:
+def plan(args: Namespace) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
     Give a CASE to plan before anything is measured: its configurations then have parameters = ["t20",
@@ -631,18 +617,22 @@ def plan(
     from rtcal.report.finding_words import of_plan
 
     finding = None
-    if Path(case).is_dir() or kind_of(case) == RESULT:
-        finding, _ = saved(case)
+    if Path(args.case).is_dir() or kind_of(args.case) == RESULT:
+        finding, _ = saved(args.case)
         if finding.kind != "means":
-            refused = {"relative-change": change, "cost": costs or None, "case": further}
+            refused = {
+                "relative-change": args.change,
+                "cost": args.costs or None,
+                "case": args.further,
+            }
             refuse(refused, ": with a geometry a place for a receiver is proposed")
             _tell_places(finding)
             return
         read = finding.case
-        every = [] if further is None else Case.from_file(further).configurations
+        every = [] if args.further is None else Case.from_file(args.further).configurations
     else:
-        refuse({"case": further}, " needs a finding")
-        read = Case.from_file(case)
+        refuse({"case": args.further}, " needs a finding")
+        read = Case.from_file(args.case)
         every = read.configurations
         if measured := [c for c in every if not c.planned]:
             read = replace(read, configurations=measured)
@@ -650,12 +640,12 @@ def plan(
             every = ()  # all are planned, and none is to be proposed
     result = planned_with(
         read,
-        change=CHANGE if change is None else change,
+        change=CHANGE if args.change is None else args.change,
         finding=finding,
-        costs=console.numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
+        costs=console.numbers("--cost", args.costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=[c for c in every if c.planned],
     )
-    console.tell("\n".join(lines(of_plan(result, every=all_named))), result.to_dict)
+    console.tell("\n".join(lines(of_plan(result, every=args.all_named))), result.to_dict)
 
 
 def _further_places(finding: Any) -> tuple[Place, ...]:

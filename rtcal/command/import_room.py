@@ -5,6 +5,7 @@ The mesh is checked, read, mended, drawn, and written beside the room.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -135,25 +136,18 @@ def import_room() -> None:
 
 @import_room.command(short_help="V, S and the defects of a mesh.")
 @console.takes(click.argument("mesh", type=click.Path()), *_MESH)
-def check(
-    mesh: str,
-    as_drawn: bool,
-    leaks: bool,
-    mended: str | None,
-    picture: str | None,
-    **options: Any,
-) -> None:
+def check(args: Namespace) -> None:
     """Print volume, surface and defects of MESH (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC).
 
     Every defect is listed with the effect of its repair on volume V and surface S.
 
     Example: rtcal import check hall.glb --picture hall.png
     """
-    console.fit_ending("--mended", mended, ".obj")
-    spare([mended, picture], [mesh])
-    done = _read(mesh, as_drawn, leaks, picture, options)
-    if mended is not None:
-        _closed(done).save(mended)
+    console.fit_ending("--mended", args.mended, ".obj")
+    spare([args.mended, args.picture], [args.mesh])
+    done = _read(args)
+    if args.mended is not None:
+        _closed(done).save(args.mended)
     notes = [console.as_options(note, ["unit"]) for note in done.notes]
     record = {
         "volume": done.volume,
@@ -164,7 +158,7 @@ def check(
         "defects": [asdict(defect) for defect in done.defects],
         "notes": notes,
     }
-    unsure = _not_in_mesh(mesh, done) if mended is not None else []
+    unsure = _not_in_mesh(args.mesh, done) if args.mended is not None else []
     console.tell("\n".join([*map(as_sentence, notes), str(done), *unsure]), record)
 
 
@@ -181,84 +175,61 @@ def _not_in_mesh(mesh: str, model: Mended) -> list[str]:
     ]
 
 
-def _imported(
-    program: str,
-    mesh: str | None,
-    as_drawn: bool,
-    leaks: bool,
-    mended: str | None,
-    picture: str | None,
-    name: str | None,
-    volume: float | None,
-    areas: tuple[str, ...],
-    in_catalogue: tuple[str, ...],
-    entries: tuple[str, ...],
-    bands: str | list[float] | None,
-    temperature: float | None,
-    humidity: float | None,
-    sigma_table: str | None,
-    scattering: float | None,
-    out: str,
-    materials: str | None = None,
-    columns: str | None = None,
-    **stated: Any,
-) -> None:
-    """Write a room of a program's materials; ``stated`` are how a mesh is read, and the sigma."""
+def _imported(program: str, args: Namespace) -> None:
+    """Write a room of a program's materials, or of the catalogue's."""
     from rtcal import io
-    from rtcal.acoustics.priors import SigmaRule
     from rtcal.datasets import catalogue
     from rtcal.io.material_list import read_sigma
 
-    spare([out, mended, picture], [materials, mesh, sigma_table])
-    console.fit_ending("--out", out, ".toml")
-    console.fit_ending("--mended", mended, ".obj")
-    options = {key: stated.pop(key) for key in ("unit", "space", "weld", "largest_hole")}
-    of_library = {} if columns is None else {"columns": columns}
+    spare([args.out, args.mended, args.picture], [args.materials, args.mesh, args.sigma_table])
+    console.fit_ending("--out", args.out, ".toml")
+    console.fit_ending("--mended", args.mended, ".obj")
+    of_library = {} if args.columns is None else {"columns": args.columns}
     with console.errors_name_options("columns"):
         listed: MaterialList = (
             catalogue.material_list()
-            if materials is None
-            else getattr(io, program).read(materials, **of_library)
+            if args.materials is None
+            else getattr(io, program).read(args.materials, **of_library)
         )
-    model = None if mesh is None else _read(mesh, as_drawn, leaks, picture, options)
-    volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
+    model = None if args.mesh is None else _read(args)
+    volume, surfaces = _volume_and_surfaces(model, args, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
-    chosen = console.texts("--catalogue", in_catalogue, "NAME=ENTRY")
-    renamed = console.texts("--as", entries, "MATERIAL=ENTRY")
+    chosen = console.texts("--catalogue", args.in_catalogue, "NAME=ENTRY")
+    renamed = console.texts("--as", args.entries, "MATERIAL=ENTRY")
     if both := [name for name in renamed if name in chosen]:
         raise DataError(
             f'the material "{both[0]}" is given in --as and in --catalogue; leave one of them out'
         )
-    place = "--area" if mesh is None else mesh
+    place = "--area" if args.mesh is None else args.mesh
     own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
     offered = catalogue.material_list() if chosen else listed
     others = own | _entries("--catalogue", offered, chosen, used, place)
     _require_all(listed, others, program, used, place)
-    rule = SigmaRule(**stated)
-    sigma = {} if sigma_table is None else read_sigma(sigma_table)
+    rule = sigma_rule(args)
+    sigma = {} if args.sigma_table is None else read_sigma(args.sigma_table)
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(
-            f'{sigma_table}: "{unknown[0]}" is not a material of the room, which has '
+            f'{args.sigma_table}: "{unknown[0]}" is not a material of the room, which has '
             f"{shortened(', '.join(used), 200)}"
         )
     room = listed.room(
-        name=Path(mesh or materials or out).stem if name is None else name,
+        name=Path(args.mesh or args.materials or args.out).stem if args.name is None else args.name,
         volume=volume,
         areas=surfaces,
-        centre_frequencies=_centre_frequencies(bands, [*listed.materials, *others.values()]),
+        centre_frequencies=_centre_frequencies(args.bands, [*listed.materials, *others.values()]),
         sigma_rule=rule,
         sigma=sigma,
-        scattering=scattering,
+        scattering=args.scattering,
         others=others,
-        air=stated_air(temperature, humidity),
+        air=stated_air(args.temperature, args.humidity),
     )
     of_mesh: list[str] = []
-    if mesh is not None and model is not None:
+    if args.mesh is not None and model is not None:
         _check_leaks(room, model)
-        room = _with_scene(room, mesh, model, options["unit"], out, mended)
+        room = _with_scene(room, model, args)
         room, of_mesh = _with_uncertainty(room, model)
-    room.save(out)
+    room.save(args.out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
@@ -280,8 +251,8 @@ def _add_import(program: str) -> None:
     example = "" if program == "catalogue" else f" {_EXAMPLES.get(program, 'materials')}"
 
     @console.takes(*materials, *(("columns",) if program == "library" else ()), *_ROOM)
-    def command(**stated: Any) -> None:
-        _imported(program, **stated)
+    def command(args: Namespace) -> None:
+        _imported(program, Namespace(**{"materials": None, "columns": None} | vars(args)))
 
     command.__doc__ = f"""Make a room of {source} and a mesh, or given areas and volume.
 
@@ -308,13 +279,15 @@ for _program in (*PROGRAMS, "library", "catalogue"):
     _add_import(_program)
 
 
-def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: Any) -> Mended:
+def _read(args: Namespace) -> Mended:
     """Return the room of a mesh, and draw it, with its open edges where it does not close.
 
-    With ``as_drawn`` a mesh that cannot be closed has V by rays and S as it is drawn; with ``leaks`` it
-    has its holes, too. ``options`` are those of `rtcal.io.mesh.room`.
+    With --open a mesh that cannot be closed has V by rays and S as it is drawn; with --leaks it has its
+    holes, too.
     """
-    if as_drawn and leaks:
+    mesh, leaks, picture = args.mesh, args.leaks, args.picture
+    options = {name: vars(args)[name] for name in ("unit", "space", "weld", "largest_hole")}
+    if args.as_drawn and leaks:
         raise DataError("--open and --leaks are both given; leave one of them out")
     from rtcal.io import mesh as meshes
     from rtcal.io.mend import MeshError
@@ -329,9 +302,9 @@ def _read(mesh: str, as_drawn: bool, leaks: bool, picture: str | None, options: 
             done = meshes.room(mesh, **options)
         except MeshError as error:
             if picture is not None:
-                drawn = meshes.read(mesh, unit=options["unit"], space=options["space"])
+                drawn = meshes.read(mesh, unit=args.unit, space=args.space)
                 figures.save(figures.wireframe(drawn, error.edges), picture)
-            if as_drawn and error.unclosed is not None:
+            if args.as_drawn and error.unclosed is not None:
                 return error.unclosed
             chords = _chords(error.leaking, leaks)
             takes_paths = chords is not None and chords.least_alpha <= _ABSORBING
@@ -416,11 +389,7 @@ def _closed(model: Mended) -> Polyhedron:
 
 
 def _volume_and_surfaces(
-    model: Mended | None,
-    as_drawn: bool,
-    volume: float | None,
-    areas: tuple[str, ...],
-    names: Sequence[str],
+    model: Mended | None, args: Namespace, names: Sequence[str]
 ) -> tuple[float, Sequence[Surface]]:
     """Return the volume in m³ and the surfaces, of the mesh or of the options.
 
@@ -430,36 +399,35 @@ def _volume_and_surfaces(
     from rtcal.finder.positions.surfaces import stated_surfaces
 
     if model is not None:
-        if volume is not None or areas:
+        if args.volume is not None or args.areas:
             raise DataError("--mesh already gives volume and areas: leave --volume and --area out")
         if model.geometry is not None:
             return model.volume, stated_surfaces(model.geometry)
         return model.volume, [Surface(name, name, area) for name, area in model.areas.items()]
-    if as_drawn:
+    if args.as_drawn:
         raise DataError("--open can be used only with --mesh: add --mesh, or leave --open out")
-    if volume is None or not areas:
+    if args.volume is None or not args.areas:
         raise DataError(
             "the size of the room is missing. Give --mesh room.obj; or give --volume M3, "
             "and --area MATERIAL=M2 for each material. The list has the materials "
             f"{shortened(', '.join(names), 200)}"
         )
-    stated = console.numbers("--area", areas, "MATERIAL=M2")
-    return volume, [Surface(name, name, area) for name, area in stated.items()]
+    stated = console.numbers("--area", args.areas, "MATERIAL=M2")
+    return args.volume, [Surface(name, name, area) for name, area in stated.items()]
 
 
-def _with_scene(
-    room: Room, mesh: str, model: Mended, unit: float | None, out: str, mended: str | None
-) -> Room:
+def _with_scene(room: Room, model: Mended, args: Namespace) -> Room:
     """Return the room with its mesh, which is written where the tracers do not read it as it is."""
     from rtcal.acoustics.room import Scene
 
+    mesh, mended = args.mesh, args.mended
     if mended is None:
         if model.geometry is None:
             return room
         as_it_is = all(d.kind == "gap" for d in model.defects) and not model.geometry.leaks
         if as_it_is and Path(mesh).suffix.lower() == ".obj":
-            return room.replace(scene=Scene(mesh=mesh, unit=1.0 if unit is None else unit))
-        beside = Path(out).with_suffix(".obj")
+            return room.replace(scene=Scene(mesh=mesh, unit=args.unit or 1.0))
+        beside = Path(args.out).with_suffix(".obj")
         if beside.resolve() == Path(mesh).resolve():
             beside = beside.with_stem(f"{beside.stem}_mended")
         mended = str(beside)
@@ -593,6 +561,14 @@ def air_note(room: Room) -> str:
             "--humidity."
         )
     return f"The air has {room.air.temperature:g} °C and {room.air.humidity:g} % relative humidity."
+
+
+def sigma_rule(args: Namespace) -> SigmaRule:
+    """Return the rule of `SIGMA` for materials that state no sigma."""
+    from rtcal.acoustics.priors import SigmaRule
+
+    names = ("relative", "minimum", "iso_12999_2", "in_situ_factor")
+    return SigmaRule(**{name: vars(args)[name] for name in names})
 
 
 def assumed_sigma(rule: SigmaRule, used: Mapping[str, ListedMaterial]) -> str:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from dataclasses import replace
-from typing import Any
 
 import click
 import numpy as np
@@ -49,18 +49,7 @@ def loop() -> None:
     "at",
     _AGAIN,
 )
-def start(
-    room: str,
-    measured: str,
-    state: str,
-    out: str,
-    weights: tuple[str, ...],
-    modes: str | None,
-    simulated: str | None,
-    at: str | None,
-    again: bool,
-    **stated: Any,
-) -> None:
+def start(args: Namespace) -> None:
     """Write ROOM (TOML) with the coefficients that your program must simulate first.
 
     The loop ends when the program gives T in MEASURED (CSV). With --simulated it begins with a
@@ -77,27 +66,28 @@ def start(
     from rtcal.loop import closed
     from rtcal.support import text
 
-    spare([state, out], [room, measured, modes, simulated, at])
-    closed.refuse_progress(state)
-    prior, data = console.read_room(room), console.read_measured(measured)
-    weighted = console.numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
-    known = prior if modes is None else console.told_by_modes(prior, modes)
-    run = console.read_run(prior, simulated, at)
-    begun = closed.start(known, data, weights=weighted or None, run=run, **stated)
-    if simulated is not None and not again:
-        closed.refuse_doubtful(replace(begun, steps=()), begun.steps[0], simulated)
+    spare([args.state, args.out], [args.room, args.measured, args.modes, args.simulated, args.at])
+    closed.refuse_progress(args.state)
+    prior, data = console.read_room(args.room), console.read_measured(args.measured)
+    weighted = console.numbers("--weight", args.weights, "PARAMETER=NUMBER, such as edt=0.5")
+    known = prior if args.modes is None else console.told_by_modes(prior, args.modes)
+    run = console.read_run(prior, args.simulated, args.at)
+    options = {name: getattr(args, name) for name in ("method", "equation", "rule", "decimals")}
+    begun = closed.start(known, data, weights=weighted or None, run=run, **options)
+    if args.simulated is not None and not args.again:
+        closed.refuse_doubtful(replace(begun, steps=()), begun.steps[0], args.simulated)
     unreachable = begun.calibrated(begun.wanted).unreachable
     first = []
     if run is not None:
         worst = float(np.nanmax(np.abs(begun.gap)))
         first = [
-            f"{simulated} is the loop's first run: its T deviates from the measured T by up to "
+            f"{args.simulated} is the loop's first run: its T deviates from the measured T by up to "
             f"{worst:.1f} JND.",
             *begun.notes,
         ]
     record = {
-        "state": state,
-        "simulate": out,
+        "state": args.state,
+        "simulate": args.out,
         "unreachable": [f"{band} (the nearest is taken)" for band in unreachable],
         "measured": begun.matched.time_label,
         "matched": begun.matched.label,
@@ -105,16 +95,16 @@ def start(
     who = "the program is expected to give"
     if run is None:
         who = f"{begun.equation.name}'s equation gives"
-    matched = begun.matched.label if weights else begun.matched.time_label
+    matched = begun.matched.label if args.weights else begun.matched.time_label
     said = [
-        f"With the coefficients in {out}, {who} the measured {matched}.",
+        f"With the coefficients in {args.out}, {who} the measured {matched}.",
         *(f"{band}. The coefficients with the nearest T are used." for band in unreachable),
         *first,
         *cautions(begun.marks_of_next, lettered=False),
         *([] if begun.low is None else [begun.low.loop_note]),
     ]
     lines = [line for each in said for line in text.wrapped(each)]
-    console.tell("\n".join([*lines, closed.write(begun, state, out)]), record)
+    console.tell("\n".join([*lines, closed.write(begun, args.state, args.out)]), record)
 
 
 @loop.command(name="next", short_help="Go on: read what was simulated.")
@@ -125,7 +115,7 @@ def start(
     _OUT,
     _AGAIN,
 )
-def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
+def next_(args: Namespace) -> None:
     """Read what the program SIMULATED (CSV) and write the room to simulate next.
 
     ROOM is the file that `start` read. `rtcal report STATE` shows the steps so far, and `rtcal loop
@@ -138,18 +128,23 @@ def next_(room: str, simulated: str, state: str, out: str, again: bool) -> None:
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
 
-    spare([state, out], [room, simulated])
-    before = closed.Loop.load(state, Room.from_file(room))
+    spare([args.state, args.out], [args.room, args.simulated])
+    before = closed.Loop.load(args.state, Room.from_file(args.room))
     after = closed.record(
-        before, console.read_measured(simulated), simulated, state, out, again=again
+        before,
+        console.read_measured(args.simulated),
+        args.simulated,
+        args.state,
+        args.out,
+        again=args.again,
     )
-    end = closed.write(after, state, out)
-    console.tell(f"{after}\n{end}", {"state": state, "simulate": out, **after.to_dict()})
+    end = closed.write(after, args.state, args.out)
+    console.tell(f"{after}\n{end}", {"state": args.state, "simulate": args.out, **after.to_dict()})
 
 
 @loop.command(short_help="Take the last step back.")
 @console.takes("ROOM", _STATE, _OUT)
-def back(room: str, state: str, out: str) -> None:
+def back(args: Namespace) -> None:
     """Forget the table that `next` read last, and write the room to simulate in its place.
 
     \b
@@ -159,8 +154,9 @@ def back(room: str, state: str, out: str) -> None:
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
 
-    spare([state, out], [room])
-    before = closed.Loop.load(state, Room.from_file(room)).back()
+    spare([args.state, args.out], [args.room])
+    before = closed.Loop.load(args.state, Room.from_file(args.room)).back()
     n = len(before.steps)
-    said = f"{state} now holds {n} simulation{'s' * (n != 1)}. {closed.write(before, state, out)}"
-    console.tell(said, {"simulations": n, "state": state, "simulate": out})
+    then = closed.write(before, args.state, args.out)
+    said = f"{args.state} now holds {n} simulation{'s' * (n != 1)}. {then}"
+    console.tell(said, {"simulations": n, "state": args.state, "simulate": args.out})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,16 +58,7 @@ def told(found: Result, out: Path | None) -> None:
     "simulated",
     "at",
 )
-def predict(
-    room: str,
-    measured: str | None,
-    change: str,
-    also: tuple[tuple[str, str], ...],
-    equation: LinearEquation,
-    out: Path | None,
-    simulated: str | None,
-    at: str | None,
-) -> None:
+def predict(args: Namespace) -> None:
     """Predict T of ROOM (TOML) after changes, from T MEASURED (CSV) before them.
 
     The model predicts only the change, which is applied to the measured T. One JND is 5 % of T. Without
@@ -87,24 +79,24 @@ def predict(
     from rtcal.prediction.predicted import known_room, predict_variants
 
     # What the file of variants states is checked before anything is calibrated.
-    known = saved(room, measured, also)
-    before = console.read_room(room) if known is None else getattr(known, "prior", None)
+    known = saved(args.room, args.measured, args.also)
+    before = console.read_room(args.room) if known is None else getattr(known, "prior", None)
     if before is None:
         raise DataError(
-            f"{room} is not the result of a calibration. Give a folder that `rtcal "
+            f"{args.room} is not the result of a calibration. Give a folder that `rtcal "
             "calibrate --out` or `rtcal fit --out` wrote"
         )
-    with expecting("a file of variants", change):
-        text = read_text(change, MAX_BYTES)
-        variants, target = read_variants(text, before, catalogue.material, Path(change).parent)
-    run = console.read_run(before, simulated, at)
+    with expecting("a file of variants", args.change):
+        text = read_text(args.change, MAX_BYTES)
+        variants, target = read_variants(text, before, catalogue.material, Path(args.change).parent)
+    run = console.read_run(before, args.simulated, args.at)
     if run is None and any(v.simulated is not None for v in variants):
         raise DataError(
-            f"{change} has simulated, the program's result after a change, but its result "
+            f"{args.change} has simulated, the program's result after a change, but its result "
             "before the change is missing. Add it with --simulated"
         )
     if run is not None and (
-        isinstance(known, PositionsResult) or (known is None and measured is None)
+        isinstance(known, PositionsResult) or (known is None and args.measured is None)
     ):
         raise DataError(
             "--simulated needs the measured T before the change, because it is multiplied "
@@ -112,21 +104,22 @@ def predict(
             "calibrate`"
         )
     if not isinstance(known, PositionsResult):
-        if known is None and (measured is not None or also):
-            known = calibrated(before, measured, also, equation)
+        if known is None and (args.measured is not None or args.also):
+            known = calibrated(before, args.measured, args.also, args.equation)
         if known is None:
-            told(predict_variants(known_room(before, equation), variants, target=target), out)
+            as_input = known_room(before, args.equation)
+            told(predict_variants(as_input, variants, target=target), args.out)
             return
         if before.scene.sources:
             console.note(
                 "T is predicted by an equation. To predict every position, give a folder of `rtcal "
                 "fit` instead"
             )
-        told(predict_variants(known, variants, target=target, run=run), out)
+        told(predict_variants(known, variants, target=target, run=run), args.out)
         return
     if target is not None:
         raise DataError(
-            f"{change}: a target needs T from an equation, but {room} is a result of "
+            f"{args.change}: a target needs T from an equation, but {args.room} is a result of "
             "`rtcal fit`. Leave the target out, or give a folder of `rtcal calibrate`"
         )
     with console.control_bar() as progress:
@@ -136,7 +129,7 @@ def predict(
             position_uncertainty=before.scene.position_uncertainty,
             progress=progress,
         )
-    told(at_positions, out)
+    told(at_positions, args.out)
 
 
 def saved(room: str, measured: str | None, also: tuple[tuple[str, str], ...]) -> Result | None:
@@ -213,15 +206,7 @@ def calibrated(
     click.option("--probability", type=float, help="0.8 or more; by default that of the file."),
     *_KNOWN,
 )
-def design(
-    room: str,
-    measured: str | None,
-    treatments: str,
-    probability: float | None,
-    also: tuple[tuple[str, str], ...],
-    equation: LinearEquation,
-    out: Path | None,
-) -> None:
+def design(args: Namespace) -> None:
     """Find the cheapest treatments of ROOM (TOML) with which T meets a target.
 
     MEASURED (CSV) is T of the room as it is. Without it, ROOM must be the folder that `rtcal calibrate`
@@ -234,14 +219,17 @@ def design(
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import design as cheapest
 
-    result: Any = saved(room, measured, also)
-    result = result or calibrated(console.read_room(room), measured, also, equation)
+    result: Any = saved(args.room, args.measured, args.also)
+    if result is None:
+        room = console.read_room(args.room)
+        result = calibrated(room, args.measured, args.also, args.equation)
     if not isinstance(result, CalibrationResult):
         raise DataError(
-            f"{room} is not the result of `rtcal calibrate`. Give a folder that `rtcal "
+            f"{args.room} is not the result of `rtcal calibrate`. Give a folder that `rtcal "
             "calibrate --out` wrote"
         )
-    with expecting("a file of treatments", treatments):
-        text = read_text(treatments, MAX_BYTES)
+    with expecting("a file of treatments", args.treatments):
+        text = read_text(args.treatments, MAX_BYTES)
         stated, target, in_file = read_treatments(text, result.prior, catalogue.material)
-    told(cheapest(result, stated, target, in_file if probability is None else probability), out)
+    probability = in_file if args.probability is None else args.probability
+    told(cheapest(result, stated, target, probability), args.out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
+from argparse import Namespace
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import partial
@@ -22,6 +23,7 @@ from rtcal.command.import_room import (
     air_note,
     assumed_sigma,
     described,
+    sigma_rule,
     stated_air,
 )
 from rtcal.files.disk import spare
@@ -31,7 +33,6 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.equations import LinearEquation
     from rtcal.acoustics.room import Piece, Room
     from rtcal.io.material_list import ListedMaterial
 
@@ -97,14 +98,7 @@ _COPIES = "The values are from copies of these tables, not from the works themse
     console.flag("ask", "Ask in the terminal for what is not given."),
     console.file("out", "Room (TOML) to write."),
 )
-def room(
-    ask: bool,
-    bands: str | list[float] | None,
-    t20: str | None,
-    t30: str | None,
-    equation: LinearEquation,
-    **stated: Any,
-) -> None:
+def room(args: Namespace) -> None:
     """Make a room from the sides of a box and the names of its materials.
 
     Names are looked up in the catalogue (Vorländer 2008, and others). The entries that were taken are
@@ -122,36 +116,38 @@ def room(
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.bands import octaves, span, third_octaves
 
-    if bands is None or isinstance(bands, str):
-        bands = [*(third_octaves(100, 5000) if bands == "third-octave" else octaves(125, 4000))]
-    materials = _Materials(bands)
-    own = console.texts("--wall", stated.pop("wall"), _WALL)
+    frequencies = args.bands
+    if frequencies is None or isinstance(frequencies, str):
+        thirds = frequencies == "third-octave"
+        frequencies = [*(third_octaves(100, 5000) if thirds else octaves(125, 4000))]
+    materials = _Materials(frequencies)
+    own = console.texts("--wall", args.wall, _WALL)
     if unknown := [name for name in own if name not in _WALLS]:
         raise DataError(f'--wall: "{unknown[0]}" is not a wall; the walls are {", ".join(_WALLS)}')
     four = len(own) == len(_WALLS)
-    times = {name: text for name, text in (("t20", t20), ("t30", t30)) if text is not None}
-    if ask:
-        _ask(stated, times, materials, four)
+    times = {name: vars(args)[name] for name in ("t20", "t30") if vars(args)[name] is not None}
+    if args.ask:
+        _ask(vars(args), times, materials, four)
     needed = ("dimensions", "floor", "ceiling", *(() if four else ("walls",)))
-    if missing := [f"--{name}" for name in needed if not stated[name]]:
+    if missing := [f"--{name}" for name in needed if not vars(args)[name]]:
         raise DataError(
             f"{', '.join(missing)} {'are' if missing[1:] else 'is'} missing. Add "
             f"{'them' if missing[1:] else 'it'}, or use --ask to be asked for each value"
         )
-    out = stated["out"]
+    out = args.out
     spare([out], [])
     console.fit_ending("--out", out, ".toml")
-    made, notes = _made(materials, own, **stated)
+    made, notes = _made(materials, own, args)
     notes += [_UNCERTAINTY_OF_T] if times else []
     said, record = described(made, [], notes)
     path = shlex.quote(out or "room.toml")
-    which = "" if equation.key == "eyring" else f" --equation {equation.key}"
+    which = "" if args.equation.key == "eyring" else f" --equation {args.equation.key}"
     then = f"Next: rtcal calibrate {path} t.csv{which}, or --t20 with T by band in place of t.csv"
     if times:
         from rtcal.calibration import methods
 
         measured = console.measured(made, None, t20=times.get("t20"), t30=times.get("t30"))
-        result = methods.calibrate(made, measured, equation=equation)
+        result = methods.calibrate(made, measured, equation=args.equation)
         said, record = f"{result}\n\n{said}", {**record, "calibration": result.to_dict()}
         (option,) = times
         second = f'rtcal calibrate {path} --{option} "{times[option]}"{which}'
@@ -160,12 +156,12 @@ def room(
             "with --out calibrated, the second keeps the calibrated room."
         )
     else:
-        t = equation.reverberation_time(made)
+        t = args.equation.reverberation_time(made)
         said = (
-            f"T by {equation.name}'s equation: {', '.join(f'{each:.2f}' for each in t)} s in "
+            f"T by {args.equation.name}'s equation: {', '.join(f'{each:.2f}' for each in t)} s in "
             f"{span(made.centre_frequencies)}\n{said}"
         )
-        record = {**record, "equation": equation.key, "reverberation_time": t}
+        record = {**record, "equation": args.equation.key, "reverberation_time": t}
     if out is None:
         said = f"{said}\nNothing is written; --out room.toml keeps the room."
     else:
@@ -173,65 +169,49 @@ def room(
     console.tell(said, record, then)
 
 
-def _made(
-    materials: _Materials,
-    own: dict[str, str],
-    dimensions: str,
-    floor: str,
-    ceiling: str,
-    walls: str | None,
-    pieces: tuple[str, ...],
-    audience: int | None,
-    objects: tuple[str, ...],
-    temperature: float | None,
-    humidity: float | None,
-    name: str | None,
-    out: str | None,
-    **sigma: Any,
-) -> tuple[Room, list[str]]:
+def _made(materials: _Materials, own: dict[str, str], args: Namespace) -> tuple[Room, list[str]]:
     """Return the room, and the notes on what was taken and assumed."""
     from rtcal.acoustics.air import Air
-    from rtcal.acoustics.priors import SigmaRule
     from rtcal.acoustics.room import refuse_too_many, with_patches
     from rtcal.io.material_list import MaterialList
     from rtcal.io.text import Text
     from rtcal.simulators.geometry import Polyhedron
 
-    size, unit = _sides(dimensions)
+    size, unit = _sides(args.dimensions)
     units.check_volume(math.prod(size), unit, "--dimensions", units.OF_SIDES)
-    of_box = {"floor": materials.add("floor", floor), "ceiling": materials.add("ceiling", ceiling)}
+    of_box = {place: materials.add(place, vars(args)[place]) for place in ("floor", "ceiling")}
     for wall in _WALLS:
         of_box[wall] = materials.add(
-            *((wall, own[wall]) if wall in own else ("walls", walls or ""))
+            *((wall, own[wall]) if wall in own else ("walls", args.walls or ""))
         )
     patches = [
         (place, materials.add(f"piece of {place}", text), area)
-        for place, area, text in map(_piece, pieces)
+        for place, area, text in map(_piece, args.pieces)
     ]
-    if audience is not None:
-        if audience >= size[0] * size[1]:
+    if args.audience is not None:
+        if args.audience >= size[0] * size[1]:
             raise DataError(
-                f"--audience: {audience} persons need 1 m² each and must leave a part of the floor's "
-                f"{size[0] * size[1]:.4g} m². For a floor full of people give its "
-                "material, such as --floor audience_wooden_chairs_2_m2"
+                f"--audience: {args.audience} persons need 1 m² each and must leave a part of the "
+                f"floor's {size[0] * size[1]:.4g} m². For a floor full of people give its material, "
+                "such as --floor audience_wooden_chairs_2_m2"
             )
-        patches.append(("floor", materials.add("audience", "audience"), float(audience)))
+        patches.append(("floor", materials.add("audience", "audience"), float(args.audience)))
         materials.notes.append(
-            f"{audience} persons are seated on {audience} m² of the floor, 1 m² each"
+            f"{args.audience} persons are seated on {args.audience} m² of the floor, 1 m² each"
         )
-    geometry, air = Polyhedron.shoebox(size, of_box), stated_air(temperature, humidity)
-    rule = SigmaRule(**sigma)
+    geometry, air = Polyhedron.shoebox(size, of_box), stated_air(args.temperature, args.humidity)
+    rule = sigma_rule(args)
     made = MaterialList(
         path="the options", text=Text(""), materials=(*materials.listed.values(),)
     ).room(
-        name=Path(out or "room").stem if name is None else name,
+        name=Path(args.out or "room").stem if args.name is None else args.name,
         volume=geometry.volume,
         areas=with_patches(geometry.surfaces, patches),
         centre_frequencies=materials.bands,
         sigma_rule=rule,
         air=air or Air(*USUAL_CLIMATE),
     )
-    counted = console.numbers("--object", objects, _OBJECT)
+    counted = console.numbers("--object", args.objects, _OBJECT)
     free = [materials.piece(each, n) for each, n in counted.items()]
     if free:
         for piece in free:
@@ -240,7 +220,7 @@ def _made(
             refuse_too_many(place, piece.number, piece.area_per_piece, made.total_area)
         rows = [*map(made.material, made.materials), *(piece.as_material() for piece in free)]
         made = made.with_rows(rows, pieces=[piece.name for piece in free])
-        materials.notes += _counted_twice(audience, counted)
+        materials.notes += _counted_twice(args.audience, counted)
     doubt = units.size_doubt(made.volume, size, unit, advice=units.OF_SIDES)
     said = f"{units.in_words(size)}: length (x), width (y), height (z)"
     notes = [
@@ -369,7 +349,7 @@ class _Materials:
 
 @click.command(short_help="The catalogue of materials and pieces, with their sources.")
 @console.takes(click.argument("names", nargs=-1, metavar="[NAME]..."), writes=False)
-def materials(names: tuple[str, ...]) -> None:
+def materials(args: Namespace) -> None:
     """List the catalogue's materials and pieces, or those that each NAME means, and similar ones.
 
     `rtcal room` takes the first one for a NAME. Several words are one name in quotes. Pieces are
@@ -391,14 +371,14 @@ def materials(names: tuple[str, ...]) -> None:
         f"sigma, at least 0.01; {catalogue.OPENING} is exact"
     ]
     meant, unknown = dict[str, list[str]](), dict[str, str]()
-    for name in dict.fromkeys(names):
+    for name in dict.fromkeys(args.names):
         meant[name] = []
         for among in (described, None):
             try:
                 meant[name][:0] = catalogue.found(name, among)
             except DataError as error:
                 unknown[name] = str(error)
-    if names and not any(meant.values()):
+    if args.names and not any(meant.values()):
         quote = ". A name of several words stands in quotes" if len(meant) > 1 else ""
         raise DataError(
             f"{'; '.join(unknown.values())}{quote}. `rtcal materials` lists all entries"
