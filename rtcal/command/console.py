@@ -48,8 +48,7 @@ def as_options(text: str, arguments: Sequence[str], named: Mapping[str, str] | N
     'state --repeats'
     """
     for argument, option in (("where", "--where"), ("entries", "--as")):
-        pattern = rf'\b{argument}=\{{"([^"]+)": "([^"]+)"\}}'
-        text = re.sub(pattern, rf'{option} "\1=\2"', text)
+        text = re.sub(rf'\b{argument}=\{{"([^"]+)": "([^"]+)"\}}', rf'{option} "\1=\2"', text)
         text = re.sub(rf"^{argument}:", f"{option}:", text)
     for argument in arguments:
         option = "--" + (named or {}).get(argument, argument.removeprefix("n_").replace("_", "-"))
@@ -607,17 +606,10 @@ def shown_warnings() -> Callable[..., None]:
     return show
 
 
-_FORMATS = (
-    ".csv .xlsx .xls .ods .tsv .html .htm .pdf .doc .docx .odt .json .toml .png .jpg .jpeg .svg .geo "
-    ".abs .li8 .obj .stl .ply .glb .gltf .dxf .dae .ifc .skp .3ds .wav .sofa .md .tex"
-)
-"""Endings of files that have a format of their own."""
-
-
 def fit_ending(option: str, path: str | None, *written: str) -> None:
     """Raise DataError if a file's ending names another format than those that are written."""
     ending = "" if path is None else Path(path).suffix.lower()
-    if ending in _FORMATS.split() and ending not in written:
+    if ending not in ("", *written):
         raise DataError(
             f'{option} {path}: a file that ends in "{ending}" cannot be written here. Use '
             f"{' or '.join(written)}"

@@ -71,10 +71,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Section:
-    """Hold a heading of a page.
-
-    ``name`` is its anchor, and ``new_sheet`` starts a new sheet of paper.
-    """
+    """Hold a heading of a page, its anchor ``name``, and whether it starts a new sheet of paper."""
 
     title: str
     name: str
@@ -117,8 +114,8 @@ class Files:
 class Picture:
     """Hold a figure and its caption; ``draw`` is a function that returns the figure.
 
-    ``alt`` is the text for readers who cannot see the figure, by default the caption. If ``tall`` is
-    True, the figure may be higher than usual. A figure with a ``name`` is also written as a file.
+    ``alt`` is for readers who cannot see it, by default the caption. A ``tall`` figure may be higher
+    than usual. A figure with a ``name`` is also written as a file.
     """
 
     draw: Callable[[], Any]
@@ -135,10 +132,7 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class SideBySide:
-    """Hold parts of a page, each a list of blocks, that are shown side by side on a wide screen.
-
-    ``kind`` is the CSS class of the parts.
-    """
+    """Hold lists of blocks that are shown side by side on a wide screen, with a CSS class ``kind``."""
 
     parts: Sequence[Sequence[Any]]
     kind: str = ""

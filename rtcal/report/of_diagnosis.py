@@ -66,20 +66,18 @@ def calibrated(result: Diagnosis) -> str:
         before, after = rms(found.gap_before), rms(found.gap_after)
         scattering = ""
         if found.scattering is not None and found.start is not None:
-            of = found.start, found.scattering.coefficients
-            ends = [dict.fromkeys([f"{s.min():.2f}", f"{s.max():.2f}"]) for s in of]
-            before_fit, fitted = (" to ".join(each) for each in ends)
-            scattering = (
-                f", with scattering coefficients of {fitted} (before the fit: {before_fit})"
+            fitted, start = (
+                " to ".join(dict.fromkeys([f"{s.min():.2f}", f"{s.max():.2f}"]))
+                for s in (found.scattering.coefficients, found.start)
             )
+            scattering = f", with scattering coefficients of {fitted} (before the fit: {start})"
         said = (
             f"At last, the {which} was fitted to all pairs{scattering}. At these pairs, the fit "
             f"reduced its deviation from {before:.1f} to {after:.1f} JND (root mean square)."
         )
         if result.corrected is not None and verified is not None and verified.misses:
             said += (
-                " This second number does not show that the model is right, because no pair was left "
-                "out of the fit."
+                " No pair was left out of the fit, so this does not show that the model is right."
             )
         return said
     if found.off < _MET:

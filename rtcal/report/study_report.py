@@ -197,7 +197,8 @@ def report(
                 scores = analytic_scores(AREAS[room], level, realisations, seed, sampling=sampling)
                 result.blocks.append(_scores(room, level, sampling, scores))
                 result.records.append({**record, "scores": scores})
-                result.files[f"{stem}-analytic-scores.csv"] = table_csv(scores)
+                if with_files:
+                    result.files[f"{stem}-analytic-scores.csv"] = table_csv(scores)
                 continue
             study = run(
                 AREAS[room],
@@ -218,7 +219,10 @@ def report(
         if room == "shoebox":
             result.blocks.append(_table_1())
     if with_files:
-        result.files.update(_prior_files())
+        figure_2 = priors((0.2, 0.5, 0.7), (0.02, 0.05, 0.1), "Truncated normals (Fig. 2)")
+        figure_4a = priors(paper.TABLE_1_MU, paper.TABLE_1_SIGMA, "Table 1's room (Fig. 4a)")
+        result.files["priors.png"] = rendered(figure_2, "png")
+        result.files["table-1-priors.png"] = rendered(figure_4a, "png")
     return result
 
 
@@ -306,16 +310,5 @@ def _study_files(study: Study, stem: str) -> dict[str, bytes]:
     }
     title = f"{stem}: {study.realisations:,} realisations of {study.trials:,} trials"
     figure = spread(study.spread(), study.scores().aace.tolist(), title)
-    return {
-        **{f"{stem}-{name}.csv": table_csv(table) for name, table in tables.items()},
-        f"{stem}-spread.png": rendered(figure, "png"),
-    }
-
-
-def _prior_files() -> dict[str, bytes]:
-    figure_2 = priors((0.2, 0.5, 0.7), (0.02, 0.05, 0.1), "Truncated normals (Fig. 2)")
-    figure_4a = priors(paper.TABLE_1_MU, paper.TABLE_1_SIGMA, "Table 1's room (Fig. 4a)")
-    return {
-        "priors.png": rendered(figure_2, "png"),
-        "table-1-priors.png": rendered(figure_4a, "png"),
-    }
+    files = {f"{stem}-{name}.csv": table_csv(table) for name, table in tables.items()}
+    return files | {f"{stem}-spread.png": rendered(figure, "png")}
