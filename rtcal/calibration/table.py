@@ -145,12 +145,10 @@ _NAMES_OF_METHODS = {
 """Methods in print, with the names that --method takes."""
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 SHARE = "Share of absorption after calibration"
-_LEAST_SHARE = 0.5
-"""Share in % that is not printed as 0."""
+_LEAST_SHARE = 0.5  # share in % that is not printed as 0
 _QUANTITIES = ("alpha", "absorption area of one piece / m²")
 """What is calibrated of surfaces, and of pieces such as persons."""
-_SEEN = 0.05
-"""Shift in standard deviations that is not printed as 0.0."""
+_SEEN = 0.05  # shift in standard deviations that is not printed as 0.0
 
 
 def blocks_of(record: Mapping[str, Any]) -> list[Block]:
@@ -600,11 +598,7 @@ def numbers(values: Sequence[float | None] | Array) -> Array:
 
 
 def _remaining_gap(record: Mapping[str, Any]) -> str:
-    """Return a sentence on bands in which the calibrated T differs from the measured T, and why.
-
-    The sentence is "" if the calibrated room has every measured T, or if the calibration does not use
-    T. ``record`` is the calibration as `rtcal.calibration.CalibrationResult.to_dict` returns it.
-    """
+    """Return a sentence on bands in which the calibrated T differs from the measured T, and why."""
     after, before = (np.abs(numbers(record[key])) for key in ("gap_after_jnd", "gap_before_jnd"))
     left = after >= MET  # not where there is no T
     if not left.any() or not record["matches_measured_time"]:

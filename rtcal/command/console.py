@@ -61,10 +61,7 @@ def as_options(text: str, arguments: Sequence[str], named: Mapping[str, str] | N
 
 @contextmanager
 def errors_name_options(*arguments: str, **named: str) -> Iterator[None]:
-    """Replace Python's arguments by the command's options in the message of a DataError.
-
-    ``named`` are arguments whose option has another name.
-    """
+    """Replace Python's arguments by the command's options in the message of a DataError."""
     try:
         yield
     except DataError as error:
@@ -166,10 +163,7 @@ ARGUMENTS = (
 
 
 def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Measurement:
-    """Return the measurement in the file that a command takes.
-
-    For another program's format, a note on what was read is printed once; not if ``quietly`` is True.
-    """
+    """Return the measurement in the file that a command takes."""
     from rtcal.io import tables
 
     try:
@@ -572,10 +566,7 @@ def printing() -> Iterator[None]:
 
 
 def warn(message: object) -> None:
-    """Print a message on standard error, unless standard error is closed or full.
-
-    It is printed as one line; on a terminal, and if COLUMNS is set, the line is wrapped.
-    """
+    """Print a message on standard error, unless standard error is closed or full."""
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
     parts = [printable(" ".join(part.split())) for part in f"rtcal: {message}".split("\n")]
     wrapped = on_terminal or "COLUMNS" in os.environ
@@ -590,10 +581,7 @@ def note(message: object) -> None:
 
 
 def shown_warnings() -> Callable[..., None]:
-    """Return the function that prints warnings during a command, each as one line without its source.
-
-    It prints nothing with ``--quiet``, and prints only once that a model has few paths.
-    """
+    """Return the function that prints warnings during a command, each as one line without its source."""
     few = False
 
     def show(message: Warning | str, *_: object, **__: object) -> None:

@@ -150,10 +150,7 @@ def searched(options: Mapping[str, Any], targets: Sequence[str | Path] = ()) -> 
 
 
 def _once(cache: Path, of: Any, options: Mapping[str, Any], make: Callable[[], Result]) -> Any:
-    """Return what is kept of the same object and options, else what ``make`` gives, which is kept.
-
-    The file's name is a hash of both and of the version of rtcal; what no file can hold is made anew.
-    """
+    """Return what is kept of the same object and options, else what ``make`` gives, which is kept."""
     try:
         content = json.dumps([plain(of), options, __version__], sort_keys=True)
         path = cache / f"{hashlib.sha256(content.encode()).hexdigest()[:32]}.json"

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
-_MOST_UNCERTAINTY = 0.99
-"""That of an area which may be missing: a room states less than 1."""
+_MOST_UNCERTAINTY = 0.99  # that of an area which may be missing: a room states less than 1
 _MESH = (
     console.option("unit", float, "The mesh's unit in m; by default what the file states, else 1."),
     console.option("space", None, "Space of a building model (IFC), if it has several."),
@@ -391,10 +390,7 @@ def _closed(model: Mended) -> Polyhedron:
 def _volume_and_surfaces(
     model: Mended | None, args: Namespace, names: Sequence[str]
 ) -> tuple[float, Sequence[Surface]]:
-    """Return the volume in m³ and the surfaces, of the mesh or of the options.
-
-    ``names`` are those of the list's materials, for the message where the options lack them.
-    """
+    """Return the volume in m³ and the surfaces, of the mesh or of the options."""
     from rtcal.acoustics.room import Surface
     from rtcal.finder.positions.surfaces import stated_surfaces
 
@@ -478,10 +474,7 @@ def _centre_frequencies(
 def _entries(
     option: str, listed: MaterialList, stated: dict[str, str], used: Sequence[str], place: str
 ) -> dict[str, ListedMaterial]:
-    """Return a list's materials by the room's names, as an option states; DataError for unknown names.
-
-    ``place`` is where the room names its materials, ``used``.
-    """
+    """Return a list's materials by the room's names, as an option states; DataError for unknown names."""
     from rtcal.datasets import catalogue
 
     if unknown := [name for name in stated if name not in used]:
@@ -535,8 +528,7 @@ def _require_all(
     )
 
 
-_PROPOSED = 12
-"""Largest number of missing materials for which a message has proposals."""
+_PROPOSED = 12  # largest number of missing materials for which a message has proposals
 
 
 USUAL_CLIMATE = (20.0, 50.0)

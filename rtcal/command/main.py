@@ -53,8 +53,9 @@ _EPILOG = "\b\nExit codes:\n" + "\n".join(
     f"  {code:3d}  {text}" for code, text in EXIT_CODES.items()
 )
 
-_WIDEST_HELP = 100
-"""Largest width of a help text in characters: longer lines of prose are hard to read."""
+_WIDEST_HELP = (
+    100  # largest width of a help text in characters: longer lines of prose are hard to read
+)
 
 
 class _InOrderOfUse(click.Group):

@@ -135,12 +135,7 @@ def not_measured(labels: Sequence[str]) -> str:
 def uneven(
     label: str, mean: float, times: Mapping[str, float], interval: tuple[float, float]
 ) -> str:
-    """Return the caution that T after the change depends on the equation, as absorption is uneven.
-
-    ``label`` is the band, and ``mean`` the predicted T in s. ``times`` has T after the change in s by
-    the calibration's equation and by Arau-Puchades', in this order. ``interval`` has the ends of its
-    90 % interval in s.
-    """
+    """Return the caution that T after the change depends on the equation, as absorption is uneven."""
     (own, even), (_, of_axes) = times.items()
     low, high = interval
     outside = [f"{t:.2f} s" for t in times.values() if not low <= t <= high]
@@ -213,12 +208,7 @@ def by_program(
     half_widths: tuple[float, float],
     left: Sequence[str],
 ) -> str:
-    """Return sentences on the change of T by a program and by the equation, in one band.
-
-    ``label`` is the band, and ``times`` are the program's T in s before and after. ``by_equation`` is
-    the equation's T after in s. ``half_widths`` are half the widths of the intervals of equation and
-    program, over T. ``left`` are bands in which a run has no T.
-    """
+    """Return sentences on the change of T by a program and by the equation, in one band."""
     said = (
         f"The change is the program's: at {label} from {times[0]:.2f} to {times[1]:.2f} s. By the "
         f"equation alone T after is {by_equation:.2f} s, ± {100 * half_widths[0]:.0f} % in "
@@ -230,10 +220,7 @@ def by_program(
 
 
 def gained(without: Array, half_width: Array, of: str = "T", unit: str = "") -> str:
-    """Return in words by how much calibration narrowed the interval of a parameter.
-
-    The half widths without and with calibration are relative, or in ``unit``.
-    """
+    """Return in words by how much calibration narrowed the interval of a parameter."""
     before, after = (float(np.median(each)) for each in (without, half_width))
     how = "narrowed" if after < before else "did not narrow"
     ends = (f"{x:.2g} {unit}".rstrip() if unit else f"{100 * x:.0f} %" for x in (before, after))

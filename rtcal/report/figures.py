@@ -537,8 +537,7 @@ def corrected_shifts(verification: Verification) -> Any:
     return of_materials(room.materials, room.areas, moved, f, draw, 1, room.pieces)
 
 
-_SHOWN = 0.02
-"""Smallest probability of a surface that is written beside it."""
+_SHOWN = 0.02  # smallest probability of a surface that is written beside it
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
 
 

@@ -66,21 +66,18 @@ MOST_ODDS = 1e6
 BY_SEED = 0.5
 """Standard deviation of the score in nats at positions by random numbers, in a development room in
 which something is detected (room 0.7 of benchmarks/studies/geometric_world, four seeds)."""
-_NOTHING = 0.1
-"""Probability that nothing is missing from which the answer states it."""
-_NEAR = 0.5
-"""Probability over the first candidate's from which another one fits nearly as well."""
-_STRONG = 4.0
-"""Deviation in standard deviations at which the ground of a number saturates."""
-_SIZED = 0.25
-"""Probability over the first candidate's from which a text gives a candidate's size."""
-_SEVERAL = 2
-"""Configurations from which on a text has one table of what deviates much, not one of each."""
-_INTERVAL = "90 % interval"
-"""Interval of a size in print, which a table's heading states for all sizes."""
+_NOTHING = 0.1  # probability that nothing is missing from which the answer states it
+_NEAR = 0.5  # probability over the first candidate's from which another one fits nearly as well
+_STRONG = 4.0  # deviation in standard deviations at which the ground of a number saturates
+_SIZED = 0.25  # probability over the first candidate's from which a text gives a candidate's size
+_SEVERAL = (
+    2  # configurations from which on a text has one table of what deviates much, not one of each
+)
+_INTERVAL = (
+    "90 % interval"  # interval of a size in print, which a table's heading states for all sizes
+)
 _DEVIATION = "Deviation (model minus measurement) in standard deviations of this difference"
-_FEW = 3
-"""Most effects or sources that a sentence lists."""
+_FEW = 3  # most effects or sources that a sentence lists
 NAMES = {
     "porous": "porous absorber",
     "resonator": "Helmholtz resonator",
@@ -631,11 +628,7 @@ def _nothing_likelier(f: Finding) -> bool:
 
 
 def _nothing_missing(f: Finding) -> list[str]:
-    """Return that nothing is missing, and whether model or run agree with the measurement.
-
-    They agree where they differ by one JND or twice the measurement's uncertainty at most. What the
-    equation errs by stands first.
-    """
+    """Return that nothing is missing, and whether model or run agree with the measurement."""
     program, at_pairs = f.case.has_run, f.kind == "positions"
     off = [str(n) for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF][:1]
     who = "program" if program else "model"
@@ -1151,10 +1144,7 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
 
 
 def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
-    """Return a finding as blocks: the answer, cautions, next step, candidates, data and evidence.
-
-    If there is a ``verification``, its sentence follows the cautions.
-    """
+    """Return a finding as blocks: the answer, cautions, next step, candidates, data and evidence."""
     table = candidates(f)
     step = first_step(f, verification)
     last = [evidence(f), track_record(f), *(f"Note: {n}" for n in noted(f))]
@@ -1171,10 +1161,7 @@ def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
 
 
 def noted(f: Finding) -> list[str]:
-    """Return the notes as sentences, without those that the answer or a caution states already.
-
-    That all uncertainties are as given is left out, too.
-    """
+    """Return the notes as sentences, without those that the answer or a caution states already."""
     left = {"Schroeder"} if any(r.code == "below Schroeder" for r in f.reasons) else set()
     left |= {EQUATION_OFF} if f.verdict == NONE else set()
     return [

@@ -113,10 +113,7 @@ def _largest_pair(c: Comparison) -> list[str]:
 
 
 def _multiple(c: Comparison) -> list[str]:
-    """Return that a run's T is a multiple of the measured one, the same in all bands; [] else.
-
-    Coefficients and programs err by other amounts from band to band.
-    """
+    """Return that a run's T is a multiple of the measured one, the same in all bands; [] else."""
     run, measured = c.sides
     for kind in REVERBERATION:
         if c.of_equation or kind.key not in c.deviation:

@@ -148,11 +148,7 @@ def page(result: Diagnosis) -> Page:
 
 
 def contents(result: Diagnosis, folder: Path, heading: Heading | None = None) -> dict[Path, bytes]:
-    """Return the content of each file of a diagnosis, by path: page, figures, numbers and room.
-
-    The room is the calibrated one. If an effect was added, its mesh and lists of materials are among
-    the files. Raises MissingDependencyError without matplotlib or jinja2.
-    """
+    """Return the content of each file of a diagnosis, by path: page, figures, numbers and room."""
     corrected = result.corrected
     if corrected is None:
         out = {folder / ROOM: result.room.to_text(folder).encode()}

@@ -63,12 +63,7 @@ def page(
     place: Place | None = None,
     more: Sequence[str] = (),
 ) -> Page:
-    """Return the page of a finding: its printed text with figures and further tables.
-
-    ``verification`` is that of the finding; None if there is none. ``command`` is the command, printed
-    on the page, that reproduces it. ``place`` is a position for a further receiver that would
-    distinguish the surfaces; None if there is none. ``more`` are sentences after those of the finding.
-    """
+    """Return the page of a finding: its printed text with figures and further tables."""
     if isinstance(result, Verification):
         return page(result.finding, result, command, place, more)
     finding = result
@@ -292,8 +287,7 @@ def _reproduced(finding: Finding, command: str) -> list[Any]:
 
 INSTRUCTIONS = "instructions.txt"
 """File of what to change in the program, where a run of the program was given."""
-_SAME = 5e-4
-"""Change of a coefficient that a list of materials, which has 0.1 %, does not hold."""
+_SAME = 5e-4  # change of a coefficient that a list of materials, which has 0.1 %, does not hold
 
 
 def instructions(
@@ -303,12 +297,7 @@ def instructions(
     effect: str | None = None,
     place: Sequence[float] | None = None,
 ) -> list[Block]:
-    """Return what to change in a program's list of materials, what to draw, and what neither can hold.
-
-    ``made`` is the corrected model, and ``room`` its room with the coefficients to simulate with.
-    ``effect`` is the name of the effect that was chosen, and ``place`` where it was put; None if it is
-    the effect that was found, where it was found.
-    """
+    """Return what to change in a program's list of materials, what to draw, and what neither can hold."""
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
         run = finding.case.configurations[0].simulated.room
@@ -389,12 +378,7 @@ def correct(
     form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
-    """Return the text, the record and the files of a finding's corrected model, without writing them.
-
-    ``out`` is the folder for the files, which are returned by path; there are none if there is nothing
-    to add. ``verification`` has the caution for the model. For ``effect``, ``form``, ``at`` and errors
-    see `Finding.apply`.
-    """
+    """Return the text, the record and the files of a finding's corrected model, without writing them."""
     record = finding.to_dict()
     if finding.refusal is not None:
         nothing = str(finding.refusal)

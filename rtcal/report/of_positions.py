@@ -37,8 +37,7 @@ _MISFIT = (
 _DEVIATION = "deviation / JND, before to after the fit"
 _AUDIBLE = 1.0
 """Root mean square deviation in JND of a parameter from which model and measurement differ."""
-_STRONG = 2.0
-"""Shift in standard deviations at which the ground of a number saturates."""
+_STRONG = 2.0  # shift in standard deviations at which the ground of a number saturates
 
 
 def _gap_table(
@@ -49,11 +48,7 @@ def _gap_table(
     title: str = f"Root mean square {_DEVIATION}",
     misfit: Array | None = None,
 ) -> Table:
-    """Return the table of deviations before and after calibration, for each pair and for all pairs.
-
-    A deviation is a root mean square over bands. ``before`` and ``after`` are (n_parameters, n_pairs,
-    n_bands) in JND. ``misfit`` (n_pairs,) gets a column of its own; None leaves it out.
-    """
+    """Return the table of deviations before and after calibration, for each pair and for all pairs."""
     columns = [parameter_label(p) for p in parameters]
     every = [*([i] for i in range(len(pairs))), [*range(len(pairs))]]
     names = [*(" to ".join(pair) for pair in pairs), "all"]

@@ -44,8 +44,7 @@ ABOVE, BELOW = np.radians([30, -30])
 """Directions from which the view looks, above the horizontal: floor or ceiling is seen."""
 TURNS = np.radians([35, 125, 215, 305])
 """Directions round z, of which the one is taken that shows most of what is to be seen."""
-_FLAT = 0.01
-"""Largest sine between the normals of two faces without an edge between them."""
+_FLAT = 0.01  # largest sine between the normals of two faces without an edge between them
 MOST_FACES = 5000
 """Largest number of faces that are drawn: the page stays below 2 MB."""
 MOST_TRIANGLES = 20_000
@@ -206,11 +205,7 @@ class RoomSection:
         return [Picture(partial(self.still, q), f"{q.title}, from above and below") for q in shown]
 
     def still(self, quantity: Quantity) -> Any:
-        """Return the figure of a room with its parts coloured by a quantity, from above and from below.
-
-        The colours are those of the quantity's first column. Faces that would hide the inside of the
-        room are left out. Sources and receivers have the colour of their last deviation.
-        """
+        """Return the figure of a room with its parts coloured by a quantity, from above and from below."""
         colours = np.array([*map(quantity.colour, quantity.values[:, 0]), GREY])[self.owners]
         views = []
         for tilt in (ABOVE, BELOW):
@@ -328,10 +323,7 @@ def stands(
 
 
 def of_calibration(result: CalibrationResult) -> list[Any]:
-    """Return the view of the room for the page of a calibration; empty if the room has no geometry.
-
-    A mesh that cannot be read raises no error: the page notes it, and has no view of the room.
-    """
+    """Return the view of the room for the page of a calibration; empty if the room has no geometry."""
     room = result.prior
     if not room.scene:
         return []
@@ -369,10 +361,7 @@ def of_finding(
     verification: Verification | None,
     place: Place | None = None,
 ) -> list[Any]:
-    """Return the view of the room for the page of a finding at positions.
-
-    Deviations are those of the ``verification``. ``place`` is a position proposed for a receiver.
-    """
+    """Return the view of the room for the page of a finding at positions."""
     case, room = finding.case, finding.case.room
     rows = [
         room.material_index(case.geometry.materials[int(faces[0])]) for faces in case.faces.values()

@@ -13,17 +13,14 @@ from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.text import as_sentence, first_of, listed, with_uncertainty
 from rtcal.support.types import Array
 
-_SHOWN_MISSES = 3
-"""Bands that miss what was measured and are named in a sentence."""
-_EXACT = 0.005
-"""Gap in JND that is printed as 0.00."""
+_SHOWN_MISSES = 3  # bands that miss what was measured and are named in a sentence
+_EXACT = 0.005  # gap in JND that is printed as 0.00
 _USED = (
     "Matched: alpha is calibrated to it. Held out: neither alpha nor the effect is fitted to it. "
     "Without a mark: the effect is fitted to it, alpha is not."
 )
 """What the rows of a table of means are marked by."""
-_MET = 2.0
-"""Standard deviations of T within which a calibration has met it."""
+_MET = 2.0  # standard deviations of T within which a calibration has met it
 
 
 def of_miss(miss: Miss) -> str:
@@ -232,11 +229,7 @@ def _of_pairs(v: Verification) -> list[str]:
 
 
 def gaps(v: Verification) -> Table:
-    """Return the table of mean deviations of each model at held-out data.
-
-    It has a row for each quantity, each place, and all. If some data were not held out, it has a row
-    for each quantity at each place, which says whether it was held out or matched.
-    """
+    """Return the table of mean deviations of each model at held-out data."""
     sizes, rows = v.sizes, list[Row]()
 
     def row(name: str, by_seed: Array) -> None:
