@@ -581,7 +581,7 @@ def note(message: object) -> None:
 
 
 def shown_warnings() -> Callable[..., None]:
-    """Return the function that prints warnings during a command, each as one line without its source."""
+    """Return the function that prints warnings during a command, each as one line."""
     few = False
 
     def show(message: Warning | str, *_: object, **__: object) -> None:

@@ -474,7 +474,7 @@ def _centre_frequencies(
 def _entries(
     option: str, listed: MaterialList, stated: dict[str, str], used: Sequence[str], place: str
 ) -> dict[str, ListedMaterial]:
-    """Return a list's materials by the room's names, as an option states; DataError for unknown names."""
+    """Return a list's materials by the room's names, as an option states them."""
     from rtcal.datasets import catalogue
 
     if unknown := [name for name in stated if name not in used]:

@@ -297,7 +297,7 @@ def instructions(
     effect: str | None = None,
     place: Sequence[float] | None = None,
 ) -> list[Block]:
-    """Return what to change in a program's list of materials, what to draw, and what neither can hold."""
+    """Return what to change in a program's list of materials, what to draw, and what is lost."""
     run = finding.case.room
     if finding.kind == "means" and finding.case.configurations[0].simulated is not None:
         run = finding.case.configurations[0].simulated.room
@@ -378,7 +378,7 @@ def correct(
     form: str | None = None,
     at: Sequence[float] | None = None,
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
-    """Return the text, the record and the files of a finding's corrected model, without writing them."""
+    """Return the text, the record and the files (not written) of a finding's corrected model."""
     record = finding.to_dict()
     if finding.refusal is not None:
         nothing = str(finding.refusal)

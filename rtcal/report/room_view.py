@@ -205,7 +205,7 @@ class RoomSection:
         return [Picture(partial(self.still, q), f"{q.title}, from above and below") for q in shown]
 
     def still(self, quantity: Quantity) -> Any:
-        """Return the figure of a room with its parts coloured by a quantity, from above and from below."""
+        """Return the figure of a room with its parts coloured by a quantity, from above and below."""
         colours = np.array([*map(quantity.colour, quantity.values[:, 0]), GREY])[self.owners]
         views = []
         for tilt in (ABOVE, BELOW):
