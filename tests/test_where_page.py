@@ -161,9 +161,7 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     assert result.verdict == "unproven"
 
 
-def test_the_page_begins_with_the_answer_and_the_bars(
-    finding: Finding, tmp_path: Path
-) -> None:
+def test_the_page_begins_with_the_answer_and_the_bars(finding: Finding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
     write_all(page_files(of_finding.page(finding, result, "", PLACE), result, tmp_path))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

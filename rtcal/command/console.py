@@ -472,9 +472,10 @@ def takes(*given: str | Decorator, writes: bool = True) -> Decorator:
         def with_options(**options: Any) -> None:
             command(Namespace(**options))
 
+        made: Callable[..., Any] = with_options
         for one in reversed((*given, *last)):
-            with_options = decorator(one)(with_options)
-        return with_options
+            made = decorator(one)(made)
+        return made
 
     return decorated
 

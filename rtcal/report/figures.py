@@ -336,8 +336,8 @@ def plane(
     for n, style in ((1, "-"), (2, "--"), (3, ":")):
         ellipse = mu[:, np.newaxis] + n * sigma[:, np.newaxis] * (root @ circle)
         axes.plot(*ellipse, color="0.45", linestyle=style, linewidth=1, label=f"input, {n} σ")
-    points = [alpha] if truth is None else [alpha, np.asarray(truth, dtype=float)]
-    reach = np.max([3.3 * sigma, [0.02, 0.02], *(1.2 * np.abs(p - mu) for p in points)], axis=0)
+    points = np.array([alpha] if truth is None else [alpha, truth], dtype=float)
+    reach = np.maximum(3.3 * sigma, 1.2 * np.abs(points - mu).max(axis=0)).clip(0.02)
     low, high = np.maximum(mu - reach, -0.02), np.minimum(mu + reach, 1.02)
     across = np.linspace(low[0], high[0], 2)
     line = (target - areas[0] * across) / areas[1]
