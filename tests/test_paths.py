@@ -10,7 +10,7 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators import kernels, path_tracing
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_tracing import jackknife
+from rtcal.simulators.path_tracing import PathTracing, jackknife
 from rtcal.support.errors import DataError
 from tests.reference import in_place_of
 from tests.reference import paths as reference
@@ -227,6 +227,26 @@ def test_longer_paths_start_with_the_shorter_ones_and_threads_change_nothing():
             assert (b.events[b.starts[i] :][: len(mine)] == mine).all()
     assert not np.array_equal(long.batches[0][0].events[:50], other.batches[0][0].events[:50])
     assert not np.array_equal(long.batches[0][0].events[:50], long.batches[0][1].events[:50])
+
+
+def test_paths_in_memory_are_cut_to_those_that_would_be_traced(monkeypatch):
+    hall = halls.corridor()
+    tracer = PathTracing(
+        geometry=hall.geometry,
+        room=hall.room,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=320,
+        scattering_model="vector",
+    )
+    alone = replace(tracer).simulate(hall.room.alpha, seed=1)
+    tracer.trace_ahead(hall.room.alpha, 3.0, seed=1)
+    fresh = tracer.afresh()
+    monkeypatch.setattr(path_tracing, "trace", None)
+    same = fresh.simulate(hall.room.alpha, seed=1)
+    assert all(np.array_equal(of, same.values[key]) for key, of in alone.values.items())
+    longer = tracer.simulate(hall.room.alpha, seed=1)
+    assert not np.array_equal(longer.values["t20"], same.values["t20"])
 
 
 def test_a_hidden_source_arrives_by_its_first_reflection():

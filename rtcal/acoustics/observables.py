@@ -482,8 +482,8 @@ class DecaySlope(Relative):
         A decay time is NaN if fewer than two points lie within the range of levels, or if the curve
         does not fall.
         """
-        with np.errstate(invalid="ignore"):
-            within = (level <= self.upper) & (level >= self.lower)
+        within = self._within(level)
+        level = level[..., : within.shape[-1]]
         k, every = np.arange(level.shape[-1], dtype=float), within.astype(float)
         y, n = np.where(within, level, 0.0), every.sum(axis=-1)
         centred = (k - (every @ k / np.maximum(n, 1))[..., np.newaxis]) * every
@@ -499,6 +499,14 @@ class DecaySlope(Relative):
         """
         return np.asarray(cut_off_db(energy) > self.lower - MARGIN_DB)
 
+    def _within(self, level: Array) -> NDArray[np.bool_]:
+        """Return where levels are within the range, up to the last bin of any curve that is."""
+        with np.errstate(invalid="ignore"):
+            within = (level <= self.upper) & (level >= self.lower)
+        # Of a decay that is followed for longer than its range, most bins are after it.
+        held = np.flatnonzero(within.any(axis=tuple(range(level.ndim - 1))))
+        return within[..., : held[-1] + 1 if held.size else 1]
+
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return the derivative d ln T / d E_j by the energy of each time bin.
 
@@ -508,7 +516,9 @@ class DecaySlope(Relative):
         end is r dB off the line, points enter or leave there at the rate of dL / slope bins, and each
         has the weight c r / (slope sum c_k²). The arguments are those of `Observable.gradient`.
         """
-        within = (level <= self.upper) & (level >= self.lower)
+        within = self._within(level)
+        left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
+        level, left = (of[..., : within.shape[-1]] for of in (level, left))
         k = np.arange(level.shape[-1], dtype=float)
         n = np.maximum(within.sum(axis=-1, keepdims=True), 1)
         centred = np.where(within, k - np.where(within, k, 0.0).sum(-1, keepdims=True) / n, 0.0)
@@ -523,12 +533,13 @@ class DecaySlope(Relative):
         by_level += np.where(k == last, leverage, 0.0)
         if self.upper < 0:  # the curve begins at 0 dB, whatever the energy
             by_level -= np.where(k == first, leverage, 0.0)
-        left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
         share = np.where(within, by_level / np.where(left > 0, left, 1.0), 0.0)
         whole = by_level.sum(-1, keepdims=True) / left[..., :1]
-        gradient = DB * (np.cumsum(share, axis=-1) - whole)
-        lacking = np.isnan(self.of_curve(level, bin_width))[..., np.newaxis]
-        return np.where(lacking, np.nan, gradient)
+        gradient = np.empty(energy.shape)
+        gradient[..., : level.shape[-1]] = DB * (np.cumsum(share, axis=-1) - whole)
+        gradient[..., level.shape[-1] :] = gradient[..., level.shape[-1] - 1, np.newaxis]
+        gradient[np.isnan(self.of_curve(level, bin_width))] = np.nan
+        return gradient
 
     def decay_time(self, values: Array) -> Array:
         """Return the values themselves, which are decay times in s."""

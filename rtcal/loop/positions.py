@@ -744,11 +744,11 @@ def calibrate_positions(
     ended = of_fit.run()
     alpha, path, matrix = ended.alpha, ended.path, ended.path.steps[-1].matrix
     scattering, start = None, None if tracer is None else tracer.scattering
+    weighed = None
     if by_scattering is not None and tracer is not None:
-        weighed = ended.model.simulator
-        given = tracer = replace(
-            tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
-        )
+        weighed = ended.model.simulator.afresh()
+        of_weighed = {n: getattr(weighed, n) for n in ("scattering", "scattering_model")}
+        given = tracer = weighed if tracer is simulator else replace(tracer, **of_weighed)
         unknown = ended.covariance + matrix @ prior @ matrix.T
         posterior = ended.materials.posterior(ended.model.used, unknown)
         scattering = fitted(tracer, ended.materials.traced, posterior)
@@ -766,7 +766,7 @@ def calibrate_positions(
         room=room if ended.refused else _calibrated(room, given, name, ended, data, controls),
         simulator=name,
         tracer=given,
-        weighed=precise(given, more_paths),
+        weighed=weighed or precise(given, more_paths),
         seed=seed,
         scattering=scattering,
         start=start,

@@ -458,6 +458,15 @@ class Paths:
             direct_gain[s] = lobe.gain(to_receivers[s])[:, 0]
         return replace(self, batches=tuple(batches), direct_gain=direct_gain)
 
+    def cut(self, longest: float) -> Paths | None:
+        """Return the paths as if traced to the length ``longest`` in m; None if they are shorter.
+
+        They are None, too, if some of them are lost: it is unknown where.
+        """
+        if longest > self.longest or self.lost_share > 0:
+            return None
+        return replace(self, longest=longest, first=np.minimum(self.first, longest))
+
     @property
     def nbytes(self) -> int:
         """Memory of all paths in bytes."""
@@ -1021,6 +1030,7 @@ class PathTracing(Tracer):
     workers: int | None = None
     thinned: float | None = None
     _traced: dict[tuple[int, ...], Paths] = field(default_factory=dict, init=False, repr=False)
+    _ready: dict[tuple[int, ...], Paths] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -1044,7 +1054,7 @@ class PathTracing(Tracer):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes without the paths, which the seed gives: they are long to send."""
-        return {**vars(self), "_traced": {}}
+        return {**vars(self), "_traced": {}, "_ready": {}}
 
     @property
     def name(self) -> str:
@@ -1145,6 +1155,16 @@ class PathTracing(Tracer):
         object.__setattr__(changed, "_traced", kept)
         object.__setattr__(changed, "directivity", {**self.directivity, **directivity})
         return changed
+
+    def afresh(self) -> PathTracing:
+        """Return the path tracing as if it had traced nothing, but quicker.
+
+        The paths in memory are cut where they would have been traced anew, so that its results do not
+        depend on what was simulated before.
+        """
+        fresh = replace(self)
+        fresh._ready.update({key: of for key, of in self._traced.items() if len(key) == 2})
+        return fresh
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
         """Trace paths as long as ``factor`` times Eyring's T, for later simulations with this seed.
@@ -1387,7 +1407,9 @@ class PathTracing(Tracer):
             if any(other != seed for other, *_ in self._traced):
                 self._traced.clear()
             sources, receivers = self._points()
-            self._traced[key] = trace(
+            ready = self._ready.get(key)
+            cut = None if ready is None else ready.cut(longest)
+            self._traced[key] = cut or trace(
                 self.geometry,
                 sources,
                 receivers,
