@@ -146,10 +146,7 @@ def pieces() -> dict[str, str]:
 
 
 def holds(name: str) -> set[str]:
-    """Return what the absorption area of a piece is of: "person", "chair", both, or neither.
-
-    ``name`` is a key of `pieces`. A person on a chair is both.
-    """
+    """Return what the absorption area of a piece is of: "person", "chair", both, or neither."""
     return {*next(each.get("holds", ()) for each in _tabulated()["piece"] if each["name"] == name)}
 
 
@@ -308,12 +305,8 @@ def material_list() -> MaterialList:
 def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the entry that a name means, followed by other entries that resemble the name.
 
-    ``among`` are `pieces`; None means the materials. Only the entry is returned if the name is its own.
-    Raises DataError, with the nearest names, for a name that means no entry, such as "steel", and for
-    one without the name of a thing, such as "blue paint" and "not carpet".
+    Raises DataError, with the nearest names, for a name that means no entry, such as "steel".
 
-    Examples
-    --------
     >>> found("Wooden Chair", pieces()), found("Holzboden")[0]
     (['wooden chair'], 'wood_floor')
     """
@@ -400,11 +393,7 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
 
 
 def nearest(name: str, most: int = 3) -> list[str]:
-    """Return catalogue entries that resemble a material's name, each as a line of text.
-
-    There are at most ``most`` lines. A line has the entry's name, its construction and mounting as the
-    source describes them, and alpha at 500 Hz with its sigma.
-    """
+    """Return catalogue entries that resemble a material's name, each as a line of text."""
     described = names()
     lines = []
     for entry in similar(name, most):
@@ -424,10 +413,7 @@ def _mounting() -> dict[str, str]:
 
 
 def _closest(word: str, others: Collection[str]) -> float:
-    """Return the largest likeness of a word to one of others; 0 below the least.
-
-    The first two letters are the same: words differ in their ending, and grass is no glass.
-    """
+    """Return the largest likeness of a word to one of others; 0 below the least."""
     begun = (other for other in others if other[:2] == word[:2])
     likeness = (difflib.SequenceMatcher(None, word, other).ratio() for other in begun)
     best = max(likeness, default=0.0)

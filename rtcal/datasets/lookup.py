@@ -70,9 +70,8 @@ _CAMEL = re.compile(r"(?<=[a-zß-ÿ])(?=[A-ZÀ-Þ])")
 class Name:
     """Hold the words of a name, as ``material_names.toml`` has them.
 
-    ``thing`` are those of the thing itself, ``mounting`` those of what it is mounted on or filled with,
-    and ``noun`` is the last word of the thing, "" if it is none that the file knows and that may come
-    last. ``foreign`` are words that the file does not know.
+    ``thing`` are those of the thing, ``mounting`` of what it is mounted on or filled with, ``noun`` is
+    the last of the thing, "" if unknown, and ``foreign`` are those that the file does not know.
     """
 
     thing: frozenset[str]
@@ -148,8 +147,6 @@ def _known() -> dict[str, str]:
 
 def _word(word: str) -> tuple[list[str], str]:
     """Return the file's words for one word, and the part of it that the file does not know.
-
-    The words are those of the word itself, of the parts of a compound, or of what it is misspelt for.
 
     >>> _word("holzboden"), _word("curtian"), _word("lehmputz")
     ((['wood', 'floor'], ''), (['curtains'], ''), (['lehm', 'plaster'], 'lehm'))
@@ -306,11 +303,7 @@ def _called(part: str) -> dict[Name, str]:
 
 
 def meaning(text: str, part: str, described: Mapping[str, str]) -> Meaning:
-    """Return what a name means of the entries ``described``.
-
-    ``text`` is the name, ``part`` the table of the file that has the names of these entries, and
-    ``described`` their names and descriptions.
-    """
+    """Return what a name means of the entries ``described``."""
     asked = name_of(text)
     passing, places = _passing(), _listed("places")
     stated = _called(part)
@@ -362,8 +355,8 @@ def _own(entry: str, description: str) -> frozenset[str]:
 def _unaccounted(asked: Name, name: Name, own: Collection[str], weak: bool) -> set[str]:
     """Return words of a name that an entry, with its ``own`` words, does not account for.
 
-    ``name`` is one of the entry. Words that the file does not know may stand beside a known noun, but
-    not beside a place alone (``weak``).
+    Words that the file does not know may stand beside a known noun, not beside a place alone
+    (``weak``).
     """
     of_size = {word for word in asked.thing | asked.mounting if _of_size(word)}
     others = asked.thing - _passing() - asked.foreign - of_size

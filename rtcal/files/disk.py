@@ -153,10 +153,7 @@ def _digest_of(path: Path) -> str | None:
 
 
 def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
-    """Write files of existing folders, each whole; raises DataError, naming what cannot be written.
-
-    All temporary files are written first: where a disk is full, every file is as it was.
-    """
+    """Write files of existing folders, each whole; raises DataError, naming what cannot be written."""
     folders = list(dict.fromkeys(path.parent for path in contents))
     news = {path: path.with_name(f".{path.name}{NEW}") for path in contents}
     digests = {path: hashlib.sha256(content).hexdigest() for path, content in contents.items()}
@@ -305,10 +302,7 @@ def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
 
 
 def write(path: Path, array: Array) -> None:
-    """Write an array of numbers into a cache; if the folder cannot be written, nothing is written.
-
-    The name in ``path`` must identify all that the array depends on.
-    """
+    """Write an array of numbers into a cache; if the folder cannot be written, nothing is written."""
     content = io.BytesIO()
     np.save(content, array, allow_pickle=False)
     with suppress(DataError):
@@ -324,8 +318,7 @@ def _sealed(path: Path, content: bytes) -> bytes:
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return the bytes of a file.
 
-    Raises DataError if the file is missing, is not a regular file, has more than ``limit`` bytes, or
-    belongs to a set of files that was written only in part.
+    Raises DataError if it is no regular file, has more than ``limit`` bytes, or is of a torn set.
     """
     with _naming(path):
         if Path(path).exists() and not Path(path).is_file():
@@ -348,10 +341,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 
 
 def read_text(path: str | os.PathLike[str], limit: int) -> str:
-    """Return the text of a file in UTF-8.
-
-    Raises DataError if the file cannot be read, has more than ``limit`` bytes, or is not UTF-8.
-    """
+    """Return the text of a file in UTF-8."""
     content = read_bytes(path, limit)
     try:
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
@@ -365,12 +355,7 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 def spare(
     written: Sequence[str | os.PathLike[str] | None], read: Sequence[str | os.PathLike[str] | None]
 ) -> None:
-    """Raise DataError if a path to be written is also read, or would be written twice.
-
-    ``written`` and ``read`` are the paths that a command writes and reads, None for those of options
-    that are not given. The error is also raised if the command would replace a file that rtcal did not
-    write.
-    """
+    """Raise DataError if a path to be written is also read, or would be written twice; None is none."""
     taken = {Path(path).resolve(): path for path in read if path is not None}
     for path in (path for path in written if path is not None):
         place = Path(path).resolve()
@@ -396,10 +381,8 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 def write_all(contents: Mapping[Any, bytes], folder: str | os.PathLike[str] | None = None) -> None:
     """Write several files as one set: if one cannot be written, all stay as they were.
 
-    ``contents`` are the files' contents by path, relative to ``folder`` if it is given. Within a
-    command, the files are written when it ends. If the process is killed meanwhile, rtcal refuses to
-    read the files until they are written again. Links are followed, and existing files keep their mode.
-    Raises DataError, which names the file that cannot be written.
+    Paths are relative to ``folder``. Within a command, the files are written when it ends. Links are
+    followed, and existing files keep their mode. Raises DataError, which names the file.
     """
     if folder is not None:
         make_folder(folder)
@@ -427,9 +410,8 @@ def make_folder(path: str | os.PathLike[str]) -> None:
 def json_numbers(value: Any) -> Any:
     """Return a value as plain numbers, texts, lists and objects for JSON; NaN becomes None.
 
-    An array with named columns becomes a list with an object per row. An object with a method
-    ``to_dict`` becomes what this method returns. Other dataclasses become their own text, or else their
-    fields.
+    An array with named columns becomes a list with an object per row; other dataclasses become what
+    ``to_dict`` returns, or their own text, or else their fields.
     """
     if value is None or isinstance(value, str | bool):
         return value

@@ -162,12 +162,9 @@ def load(path: str | os.PathLike[str]) -> Any:
 def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
     """Return a dataclass of rtcal as a list that JSON can hold, from which `restored` makes it again.
 
-    The list has one entry per object in ``value``, each after the objects that it contains; arrays are
-    text in base64. Names of files are relative to ``folder``; if ``folder`` is None, they are absolute
-    paths. Raises CannotBeSavedError for an object that is not one of rtcal's dataclasses.
+    Arrays are text in base64. Names of files are relative to ``folder``, absolute for None. Raises
+    CannotBeSavedError for an object that is not one of rtcal's dataclasses.
 
-    Examples
-    --------
     >>> from rtcal.acoustics.air import Air
     >>> restored(plain(Air(20.0, 50.0)))
     Air(temperature=20.0, humidity=50.0, pressure=101.325)
@@ -222,11 +219,7 @@ def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]
 
 
 def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
-    """Return the object from which `plain` made the list ``objects``.
-
-    Names of files in the list are relative to ``folder``. Raises DataError if ``objects`` is not a list
-    that `plain` made.
-    """
+    """Return the object from which `plain` made the list ``objects``."""
     made: list[Any] = []
 
     def value(entry: Any) -> Any:

@@ -44,22 +44,15 @@ _REFUSED = msgspec.ValidationError, UnicodeEncodeError, IndexError, TypeError
 
 
 class FileTable(msgspec.Struct, forbid_unknown_fields=True):
-    """Describe a table of a file: its fields are the keys that the table may have.
-
-    Keys of fields without a default are required.
-    """
+    """Describe a table of a file: its fields are the keys that the table may have."""
 
 
 def read(kind: type[T], data: object, place: str = "") -> T:
     """Return the content of a file, or of a part of it, as a value of the type ``kind``.
 
-    ``data`` is the content that `json_object` or `toml_table` returned, and ``kind`` a type that
-    msgspec knows. ``place`` is the part's name in messages, "" for the whole file. Raises DataError for
-    an unknown or missing key, a value of another type, or a value that an object's constructor refuses;
-    the message has place, value and rule, and the key that is likely meant.
+    ``data`` is of `json_object` or `toml_table`, and ``place`` its name in messages. Raises DataError
+    with place, value and rule.
 
-    Examples
-    --------
     >>> class Material(FileTable):
     ...     name: str
     ...     alpha: list[float]

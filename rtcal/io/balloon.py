@@ -107,8 +107,8 @@ def _from_sofa(place: str, wanted: Sequence[float]) -> list[Array]:
 def _at_equal_angles(directions: Array, energy: Array, place: str) -> Array:
     """Return energy (n_bands, n_directions) at equal angles, (n_bands, n_theta, n_phi).
 
-    ``directions`` (n_directions, 3) are along the axis, above it and to its left. Each direction lies
-    in a triangle of the hull of all, whose corners weigh as the direction is made of them.
+    ``directions`` (n_directions, 3) are along the axis, above it and to its left. Each direction weighs
+    the corners of the triangle of their hull in which it lies.
     """
     from scipy.spatial import ConvexHull, QhullError
 

@@ -51,10 +51,7 @@ def read(room: Room) -> Polyhedron:
 
 
 def directions(room: Room) -> Array:
-    """Return the shares of each material's area that face x, y and z, (n_materials, 3), NaN if unknown.
-
-    They follow from the room's surfaces, names and dimensions, or else from the faces of its mesh.
-    """
+    """Return shares of each material's area that face x, y and z, (n_materials, 3); NaN if unknown."""
     stated = facing(room)
     if room.scene.mesh is None or np.isfinite(stated).all():
         return stated
@@ -66,11 +63,7 @@ def directions(room: Room) -> Array:
 
 
 def mesh_doubt(room: Room) -> str:
-    """Return in a sentence how a room's areas or volume differ from those of its mesh, or "".
-
-    The sentence is "" if they agree, or if the room has no mesh. If the mesh cannot be read, the
-    sentence says so. Raises DataError if they differ by a factor of another unit.
-    """
+    """Return in a sentence how a room's areas or volume differ from those of its mesh, or ""."""
     if checks.instance("room", room, Room).scene.mesh is None:
         return ""
     try:

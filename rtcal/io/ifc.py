@@ -57,13 +57,7 @@ class _Boundary:
 def faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
     """Return the faces of one space in a building model (IFC), with their materials.
 
-    ``unit`` must be None, because the file states its unit. ``space`` is the name of the space, its
-    long name or both; None if the model has one space. Gaps up to ``weld`` in m in an outline are
-    closed.
-
-    Raises DataError for a file that cannot be read, a given unit, a model without spaces, an outline
-    that crosses itself, and an unknown space. Raises MissingDependencyError if ifcopenshell is not
-    installed.
+    ``space`` is a name, a long name or both; None if there is one. Gaps up to ``weld`` in m are closed.
     """
     ifcopenshell = library(
         "IFC needs ifcopenshell: pip install 'rtcal[ifc]'; or export glTF of the room",
@@ -172,8 +166,6 @@ def _close_outlines(space: Any, length: float, weld: float, place: str) -> tuple
     """Close the outlines of a space whose ends are nearly one point.
 
     Returned are the largest gaps in m: of those that were closed, and of wider ones (`_LARGEST_GAP`).
-    ``length`` is the model's unit in m. Raises DataError for an outline that crosses itself, since the
-    library keeps one part of it, or has fewer than three corners.
     """
     closed = wider = 0.0
     for profile in space.file.traverse(space):
@@ -245,8 +237,7 @@ _DEEPEST = 1000
 def _require_sound(path: str) -> None:
     """Raise DataError for a file that is cut off or whose entities refer to each other without an end.
 
-    What a file without its last line lost would be missing in silence. ifcopenshell would follow an
-    entity that refers to itself, by way of others, until the process ends.
+    ifcopenshell would follow an entity that refers to itself until the process ends.
     """
     content = re.sub(rb"'[^']*'", b"", Path(path).read_bytes())
     if _END not in content[-1000:].upper().replace(b" ", b""):

@@ -146,10 +146,7 @@ def responses_of(
     repeats: bool,
     doubts: list[str],
 ) -> dict[tuple[str, str], Response]:
-    """Return the impulse responses in files, by source and receiver.
-
-    Parameters and errors are those of `read`. Cautions about the files are added to ``doubts``.
-    """
+    """Return the impulse responses in files, by source and receiver."""
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
         raise DataError("no file of an impulse response is given")
@@ -258,9 +255,7 @@ class Analysis:
 def with_uncertainty(measurement: Measurement) -> Measurement:
     """Return the measurement with a standard uncertainty for each value, from theory and round robins.
 
-    Each value has the uncertainty that follows from the random nature of one response
-    (`Observable.scatter`). The error that all pairs have in common is that between measuring teams
-    (Bork 2005).
+    Each value has that of one random response; the common one is that between teams (Bork 2005).
     """
     frequencies, values = measurement.centre_frequencies, measurement.values
     times = measurement.reverberation_time
@@ -306,11 +301,7 @@ def _opened(path: str) -> Iterator[Any]:
 
 
 class Response(NamedTuple):
-    """Hold an impulse response that is loaded only when it is needed, to save memory.
-
-    ``place`` is its name in messages. ``load`` is a function that returns its samples (n_samples,).
-    ``sampling_rate`` is in Hz.
-    """
+    """Hold an impulse response that is loaded only when it is needed, to save memory."""
 
     place: str
     load: Callable[[], Array]
@@ -320,12 +311,7 @@ class Response(NamedTuple):
 def _of_sound(
     path: str | os.PathLike[str], doubts: list[str]
 ) -> Iterator[tuple[str, str, list[Response]]]:
-    """Yield source, receiver and channels of a sound file, named by its name.
-
-    A lossy coding and an end that is missing are added to ``doubts``. Raises DataError for a file that
-    soundfile cannot read, has no samples or more than the budget of a channel, or has a sampling rate
-    that is none of 2 to 400 kHz.
-    """
+    """Yield source, receiver and channels of a sound file, named by its name."""
     place = os.fspath(path)
     with _opened(place) as file:
         n, rate, log, coding = file.frames, file.samplerate, file.extra_info, file.subtype
@@ -508,9 +494,8 @@ def assembled(
 ) -> Analysis:
     """Return the analysis of all pairs, from the parameters of each response in each band.
 
-    ``pairs`` are the (source, receiver) of the responses; repeats are averaged. ``found`` (n_pairs,
-    n_bands) are the parameters. ``centres`` (n_bands,) are the bands in Hz. ``needed`` is the
-    impulse-to-noise ratio in dB that each parameter needs, by name. More is added to ``notes``.
+    ``found`` is (n_pairs, n_bands), and repeats among ``pairs`` are averaged. Cautions are added to
+    ``notes``.
     """
     fractions = 1 if _bands.bandwidth_factor(centres) > 0.5 else 3
     values = {
@@ -605,10 +590,8 @@ _LARGEST = 1e150
 def _prepared(response: Response) -> tuple[Array, int, float, int, float]:
     """Return the samples with a peak of 1, the onset, the silence in s, the clipped samples, the peak.
 
-    Digital silence at the end, a run of equal samples, is left out. It is no noise, and would
-    mislead the search for the noise. A constant offset is taken off, since the band filters answer
-    the step at its end. The onset is the first sample within 20 dB of the peak (ISO 3382-1:2009,
-    5.3.2). Raises DataError for a response that is silent or broken.
+    Digital silence at the end, which is no noise, and a constant offset are left out. The onset is the
+    first sample within 20 dB of the peak (ISO 3382-1:2009, 5.3.2).
     """
     time, place = response.load(), response.place
     budget.require(len(time), budget.MAX_CHANNEL_SAMPLES, "samples", place)
@@ -633,11 +616,7 @@ def _prepared(response: Response) -> tuple[Array, int, float, int, float]:
 
 
 def clipped_samples(time: Array) -> int:
-    """Return the number of clipped samples of a response (n_samples,); 0 below `LEAST_CLIPPED`.
-
-    A sample is clipped if it is exactly at the largest positive or negative value. A smooth maximum
-    that rounding has flattened does not count.
-    """
+    """Return the number of clipped samples of a response (n_samples,); 0 below `LEAST_CLIPPED`."""
     steps = np.abs(np.diff(time))
     if not steps.any():
         return 0
@@ -663,9 +642,8 @@ def bandwidth_of(centre: Any, fractions: int) -> Any:
 class OfEnergy(NamedTuple):
     """Hold the parameters of one squared impulse response.
 
-    ``values`` are the parameters for which the level range is large enough, by name. ``ratio`` is the
-    impulse-to-noise ratio in dB, -inf if the response decays by less than 10 dB. ``floor`` is the
-    reason that limits the level range. ``late`` is True if the energy arrives too late for a decay.
+    ``ratio`` is the impulse-to-noise ratio in dB, -inf for a decay below 10 dB, and ``floor`` limits
+    it. ``late`` is True if the energy arrives too late for a decay.
     """
 
     values: dict[str, float]
@@ -701,10 +679,8 @@ def of_energy(
 ) -> OfEnergy:
     """Return the parameters of one squared impulse response that begins with the direct sound.
 
-    ``energy`` (n_samples,) is the squared response, at the sampling ``rate`` in Hz. ``needed`` is the
-    impulse-to-noise ratio in dB that each parameter needs, by name. ``centre`` and ``bandwidth`` of the
-    band are in Hz; None without a band filter. ``early`` is the energy that the band filter moved to
-    the ``early_samples`` samples before the direct sound. It counts as early sound.
+    ``energy`` (n_samples,) has the ``rate`` in Hz; ``centre`` and ``bandwidth`` in Hz are those of its
+    band. ``early`` is what the band filter moved to the ``early_samples`` before the direct sound.
     """
     total = float(np.sum(energy))
     if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):
@@ -794,8 +770,7 @@ class _Decay(NamedTuple):
 def _as_it_is(energy: Array, cut: int) -> _Decay:
     """Return the decay curve of a squared response, integrated as it is.
 
-    ``cut`` is the number of samples before a cut. An error of the curve that is `MARGIN_DB` below a
-    range is too small for any parameter.
+    An error of the curve that is `MARGIN_DB` below a range is too small for any parameter.
     """
     n = len(energy)
     tenth = energy[n * 9 // 10 :].mean()
@@ -930,10 +905,7 @@ def _line(energy: Array, rate: float, centre: float | None) -> tuple[float, floa
 
 
 def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
-    """Return all but the decay times of a decay curve, which begins at the whole energy.
-
-    A ratio is left out if its limit is after the end of the curve.
-    """
+    """Return all but the decay times of a decay curve, which begins at the whole energy."""
     energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
     others = [p for p in MINIMUM_RANGE if p not in of_kind(DecaySlope)]
     values = observables.parameters(energy, 1 / rate, others)

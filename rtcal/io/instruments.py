@@ -51,9 +51,7 @@ def _is_of_rew(content: bytes) -> bool:
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     """Return the tables in the text that an instrument exported, one per measurement.
 
-    ``content`` is that of the file and ``path`` its name in messages. ``where={"BW (octaves)": "1/3"}``
-    selects the third-octaves in a text of REW that has octaves, too. Raises DataError with file and
-    line.
+    ``where={"BW (octaves)": "1/3"}`` selects the third-octaves in a text of REW that has octaves, too.
     """
     text = decode(content, path)
     if _AURORA in content[:200]:

@@ -136,8 +136,7 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
 class _Table:
     """The columns of a sheet, the rows with values, and the texts around them.
 
-    A column is of kind "product", "unit", "band", "value" or "". ``left_out`` are the names of what
-    stands beside products.
+    A column is of kind "product", "unit", "band", "value" or "". ``left_out`` stands beside products.
     """
 
     place: str
@@ -170,10 +169,7 @@ def _stated_table(sheet: Sheet, columns: str, otherwise: str) -> _Table:
 
 
 def _table(sheet: Sheet, otherwise: str) -> _Table | None:
-    """Return the table of a sheet by its header; None without bands.
-
-    ``otherwise`` is the name of a single product that has none.
-    """
+    """Return the table of a sheet by its header; None without bands."""
     width = max(len(cells) for _, cells in sheet.rows)
     rows = [(line, [*cells, *[""] * width][:width]) for line, cells in sheet.rows]
     for i, (_, header) in enumerate(rows):
@@ -254,10 +250,7 @@ def _down(place: str, rows: Sequence[Row], at: int, otherwise: str, unit: str) -
 def _products(
     place: str, named: Mapping[int, str], otherwise: str
 ) -> tuple[dict[int, str], list[str]]:
-    """Return the products' names, of rows or columns, and the names of what stands beside them.
-
-    A single coefficient, as in a protocol, is of the product called ``otherwise``.
-    """
+    """Return the products' names, of rows or columns, and the names of what stands beside them."""
     roles = {k: _role(name) for k, name in named.items()}
     roles |= {
         k: "beside" for k, n in named.items() if n.removeprefix("U ") in {*named.values()} - {n}

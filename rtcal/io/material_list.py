@@ -434,8 +434,7 @@ def _spelling(name: str) -> str:
 def coefficient(value: float, unit: float) -> float:
     """Return the coefficient for a number in a file.
 
-    ``unit`` is the factor from the number to the coefficient, 0.01 for percent. Percent are divided by
-    100, so that 7 gives exactly the float 0.07.
+    Percent are divided by 100, so that 7 gives exactly the float 0.07.
     """
     return value / round(1 / unit) if unit < 1 else value
 
@@ -958,10 +957,7 @@ def _list_of_octaves(match: re.Match[str], offset: int, place: str, which: str =
 
 
 def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
-    """Return the list with values of its own for each alias whose coefficients the room has otherwise.
-
-    ``ABS wallabs = plaster`` becomes plaster's own list of values, which is then changed.
-    """
+    """Return the list with own values for each alias whose coefficients the room has otherwise."""
     aliases = {n: t for n, t in listed.aliases.items() if n in room.materials}
     tables = [room.alpha] if room.scattering is None else [room.alpha, room.scattering]
     rows = {n: np.hstack([t[i] for t in tables]) for i, n in enumerate(room.materials)}
@@ -1211,10 +1207,7 @@ _MAX_BANDS = 100
 def _parse_bras(
     content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
 ) -> MaterialList:
-    """Return the materials of a file's content; DataError names file, line and rule.
-
-    ``where`` selects rows of a table: ``where={"room": "CR2", "set": "initial"}``.
-    """
+    """Return the materials of a file's content; DataError names file, line and rule."""
     text, where = decode(content, path), checks.text_by_name("where", where)
     rows = [
         (f"{path}, line {line}", line, _cells(raw, start))
@@ -1320,7 +1313,7 @@ def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float
     """Return the standard uncertainty sigma of each material's alpha in a CSV file, by material.
 
     A row has one number per material, under ``material,sigma``, or one per band, under
-    ``material,125,250,500``. Raises DataError, which names the file, the line and the rule.
+    ``material,125,250,500``. DataError names the file, the line and the rule.
     """
     content, place = read_bytes(path, MAX_TEXT), os.fspath(path)
     rows = [

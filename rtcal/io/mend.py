@@ -252,11 +252,9 @@ _LOOSE = "components hang free, or are walls that do not meet the others"
 class Mending:
     """Hold a mesh while it is repaired.
 
-    ``drawn`` are its faces. Corners that are at most ``weld`` in m apart become one. ``largest_hole``
-    is the area in m² of the largest hole that is closed; None for a share of the walls' area.
-    ``points`` (n, 3) are the corners in m. ``repeated`` are faces that are drawn twice, each with the
-    material of the face that is kept. ``bent_rim`` is the place of a hole whose rim is not plane.
-    ``is_trial`` means that options are tried, which therefore propose no others.
+    ``drawn`` are its faces, ``weld`` and ``largest_hole`` the options in m and m². ``points`` (n, 3)
+    are the corners in m. ``repeated`` are faces that are drawn twice, with the material of the one that
+    is kept.
     """
 
     def __init__(
@@ -293,10 +291,8 @@ class Mending:
     ) -> None:
         """Note defects of one ``kind`` at the given ``places``.
 
-        ``area`` is that of the faces in m². ``volume`` and ``surface`` are the changes of the room's
-        volume in m³ and surface in m² by the repair, and ``uncertainty`` is the standard uncertainty of
-        the volume in m³ that remains. ``unsure`` are materials, each with the standard uncertainty of
-        its area in m². ``done`` is the repair in words; "" for the usual one of this kind.
+        ``area``, and the change of the room's ``surface``, are in m², that of its ``volume`` in m³;
+        then the standard ``uncertainty`` of the volume, and by material that of the area (``unsure``).
         """
         done, u, places = done or _DONE[kind], combined(unsure), tuple(places)
         none = self._found.get((kind, done)) or Defect(kind, 0, 0.0, 0.0, 0.0, 0.0, (), done)
@@ -657,10 +653,7 @@ def note_repetitions(mend: Mending, unseen: Collection[frozenset[int]] = ()) -> 
 
 
 def _snapped(part: FaceSet) -> FaceSet:
-    """Return the faces, with corners that are near an edge moved onto this edge.
-
-    Because a moved corner moves its own edges, this is repeated up to four times.
-    """
+    """Return the faces, with corners that are near an edge moved onto this edge."""
     mend, before = part.mend, part.areas
     edges = np.array(sorted({edge for corners in part.loops for edge in edges_of(corners)}))
     moved: dict[int, float] = {}
@@ -697,10 +690,7 @@ def _snapped(part: FaceSet) -> FaceSet:
 
 
 def _joined(part: FaceSet) -> FaceSet:
-    """Return the faces of a mesh of triangles, with neighbours in one plane joined to one polygon.
-
-    Only triangles of the same material are joined. The polygon has the name of its largest triangle.
-    """
+    """Return the faces of a mesh of triangles, with neighbours in one plane joined to one polygon."""
     mend, points, faces = part.mend, part.mend.points, part.faces
     if len(faces) < 8 or not all(len(face.corners) == 3 for face in faces):
         return part
@@ -803,15 +793,12 @@ def _shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
 
 def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     """Return the shell with its small holes closed; MeshError for a large one."""
-    mend, missing = part.mend, part.open_edges()
+    mend, missing, holes = part.mend, part.open_edges(), _holes(part)
     largest = _HOLE_SHARE * part.size if mend.largest_hole is None else mend.largest_hole
-    loops = loops_of(missing)
-    lids = [_lids(part, missing, loop) for loop in loops or ()]
-    areas = [sum(lid.area for lid in each) for each in lids]
-    large = sorted((k for k, a in enumerate(areas) if a > largest), key=lambda k: -areas[k])
-    if loops is None or large:
+    large = sorted((h for h in holes or () if h.area > largest), key=lambda h: -h.area)
+    if holes is None or large:
         _note_others(part, others)
-    if loops is None:
+    if holes is None:
         a, b = next(iter(missing))
         raise mend.refused(
             f"the mesh has {len(missing)} open edges that do not bound a hole, the first "
@@ -821,45 +808,70 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
         )
     if large:
         each = "; ".join(
-            f"hole of {rounded(areas[k], 3)} m² at {mend.place(loops[k][0])}, beside "
-            f'"{part.faces[missing[edges_of(loops[k][:2])[0]]].name}"'
-            for k in large[:MOST_PLACES]
+            f"hole of {rounded(hole.area, 3)} m² at {mend.place(hole.loop[0])}, beside "
+            f'"{part.faces[missing[edges_of(hole.loop[:2])[0]]].name}"'
+            for hole in large[:MOST_PLACES]
         )
         more = f" ({len(large)} holes in all)" if len(large) > MOST_PLACES else ""
         raise mend.refused(
             f"{each}{more}; only holes up to {rounded(largest, 3)} m² are closed automatically. "
-            f"{_hint(part, loops[large[0]], areas[large[0]], others)}",
+            f"{_hint(part, large[0], others)}",
             missing,
         )
-    for loop, area, closing in zip(loops, areas, lids, strict=True):
-        materials = " and ".join(dict.fromkeys(lid.material for lid in closing))
-        mend.found(
-            "hole",
-            [f"at {mend.place(loop[0])}, {materials}"],
-            area,
-            surface=area,
-            uncertainty=area**1.5 / 4,
-            unsure=_any_share(closing),
-        )
-        rim = mend.points[loop]
-        if len(closing) == 1 and best_plane(rim)[1] > max(mend.weld, PLANARITY):
-            mend.bent_rim = mend.place(loop[0])
-        apex = mend.new_points(closing[0].apex)
-        part.faces += [Face(lid.corners + apex, lid.material, "closed hole") for lid in closing]
-    return flattened(part) if loops else part
+    for hole in holes:
+        at, u = [f"at {mend.place(hole.loop[0])}, {hole.beside}"], hole.area**1.5 / 4
+        mend.found("hole", at, hole.area, surface=hole.area, uncertainty=u, unsure=hole.unsure)
+        if len(hole.lids) == 1 and _is_bent(part, hole.loop):
+            mend.bent_rim = mend.place(hole.loop[0])
+        apex = mend.new_points(hole.lids[0].apex)
+        part.faces += [Face(lid.corners + apex, lid.material, "closed hole") for lid in hole.lids]
+    return flattened(part) if holes else part
+
+
+def _is_bent(part: FaceSet, rim: list[int]) -> bool:
+    """Return whether the corners of a hole's rim are in no plane."""
+    return best_plane(part.mend.points[rim])[1] > max(part.mend.weld, PLANARITY)
 
 
 class _Lid(NamedTuple):
-    """Hold one of the faces that close a hole.
-
-    ``corners`` are those at the rim, and ``apex`` (0 or 1, 3) is the corner of the room that is missing
-    in the hole, in m. ``area`` is in m².
-    """
+    """A face that closes a hole: corners at its rim, and the room's corner in it, (0 or 1, 3) in m."""
 
     corners: list[int]
     apex: Array
     material: str
     area: float
+
+
+class _Hole(NamedTuple):
+    """A hole: the corners of its rim, and the faces that close it."""
+
+    loop: list[int]
+    lids: list[_Lid]
+
+    @property
+    def area(self) -> float:
+        """Area in m² of the lids."""
+        return sum(lid.area for lid in self.lids)
+
+    @property
+    def beside(self) -> str:
+        """The materials beside the hole."""
+        return " and ".join(dict.fromkeys(lid.material for lid in self.lids))
+
+    @property
+    def unsure(self) -> list[tuple[str, float]]:
+        """Standard uncertainty in m² by material: any share of the hole, one for all, is of it."""
+        areas = Counter[str]()
+        for lid in self.lids:
+            areas[lid.material] += lid.area  # type: ignore[assignment]
+        return [(material, float(ANY_SHARE * area)) for material, area in areas.items()]
+
+
+def _holes(part: FaceSet) -> list[_Hole] | None:
+    """Return the holes of a shell; None if its open edges bound none."""
+    missing = part.open_edges()
+    loops = loops_of(missing)
+    return None if loops is None else [_Hole(p, _lids(part, missing, p)) for p in loops]
 
 
 _MOST_RIM_PLANES = 8
@@ -869,14 +881,13 @@ _MOST_RIM_PLANES = 8
 def _lids(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> list[_Lid]:
     """Return the faces that close a hole.
 
-    A plane rim has one. A rim that lies on two planes of its neighbours has a face in each, with the
-    line between the rim's corners on both as common side. A rim on three has a face in each, which meet
-    in the corner of the three planes. Any other rim has one face, which is not plane.
+    A rim on two planes of its neighbours has a face in each, and one on three has three, which meet in
+    the corner of these planes. Any other rim, such as a plane one, has one face.
     """
     points, none = part.mend.points, np.zeros((0, 3))
     rim, tolerance = points[loop], max(part.mend.weld, PLANARITY)
     plain = [_Lid(loop, none, _beside(part, missing, edges_of(loop)), area_of(rim))]
-    if best_plane(rim)[1] <= tolerance:
+    if not _is_bent(part, loop):
         return plain
     planes = list[Polygon]()
     for face in dict.fromkeys(missing[edge] for edge in edges_of(loop)):
@@ -930,10 +941,7 @@ def _apex(rim: Array, planes: Sequence[Polygon], tolerance: float) -> Array:
 
 
 def _runs(on: Sequence[NDArray[np.bool_]]) -> list[list[list[int]]]:
-    """Return all divisions of a rim into runs, one on each plane and in their order.
-
-    ``on`` tells for each plane which corners of the rim it has. A run ends where the next begins.
-    """
+    """Return all divisions of a rim into runs, one on each plane, whose corners ``on`` marks."""
     n, found = len(on[0]), list[list[list[int]]]()
     starts = [np.flatnonzero(on[k - 1] & on[k]).tolist() for k in range(len(on))]
     for chosen in product(*starts):
@@ -956,27 +964,24 @@ def _note_others(shell: FaceSet, others: Sequence[FaceSet]) -> None:
         shell.mend.found(kind, part.names[:1], part.size, done=_LOOSE * (kind == "panel"))
 
 
-def _hint(part: FaceSet, loop: list[int], area: float, others: Sequence[FaceSet]) -> str:
-    """Return how a hole of this area in m² may be mended, of the options only one that was tried.
-
-    Faces whose corners nearly meet its edges ask for a weld.
-    """
+def _hint(part: FaceSet, hole: _Hole, others: Sequence[FaceSet]) -> str:
+    """Return how a hole may be mended; of the options only one that was tried."""
     mend, points = part.mend, part.mend.points
     beside = sorted({v for other in others for v in other.corners} - {*part.corners})
     if beside:
-        away, _ = cKDTree(points[beside]).query(points[loop])
+        away, _ = cKDTree(points[beside]).query(points[hole.loop])
         if (distance := float(np.median(away))) < _NEAR:
             weld = f"{np.max(away[away < _NEAR]) * 1.1:.2g}"
-            lie = f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: "
+            cure = "let them meet in your program"
             if _closes(mend, float(weld), mend.largest_hole):
-                return f"{lie}use --weld {weld}"
-            return f"{lie}let them meet in your program"
-    enough = rounded(1.01 * area, 3)  # more than the area, as printed
+                cure = f"use --weld {weld}"
+            return f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: {cure}"
+    enough = rounded(1.01 * hole.area, 3)  # more than the area, as printed
     by_hand = f"In your program, {_LOOPS}"
     if _closes(mend, mend.weld, float(enough)):
         return f"{by_hand}; or use --hole {enough}"
-    rim = best_plane(points[loop])[1] > max(mend.weld, PLANARITY)
-    return f"{_BENT_RIM} and --hole cannot close it. {by_hand}" if rim else by_hand
+    bent = f"{_BENT_RIM} and --hole cannot close it. " if _is_bent(part, hole.loop) else ""
+    return bent + by_hand
 
 
 _BENT_RIM = "The hole's rim is not plane,"
@@ -997,8 +1002,7 @@ def _closes(mend: Mending, weld: float, largest_hole: float | None) -> bool:
 def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> MeshError:
     """Return the error of a shell that does not close, with the room as drawn and its estimated volume.
 
-    ``others`` are the other components of the mesh. The volume is estimated with rays, which cross the
-    shell and closed objects. If the shell has less than half of the area, the rays cross all faces.
+    If the shell has less than half of the area, the rays cross all faces, and not only closed ones.
     """
     areas = Counter[str]()
     for part in (shell, *others):
@@ -1022,38 +1026,16 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
 
 
 def _left_open(shell: FaceSet) -> list[Defect]:
-    """Return the holes of a shell that is taken as it is drawn; their area is not in S.
-
-    What is missing beside a material may be any share of the hole, as the rest may be of another
-    material. Open edges that bound no hole are counted, because nothing is known of the area there.
-    """
-    missing = shell.open_edges()
-    loops = loops_of(missing)
-    if loops is None:
+    """Return the holes of a shell that is taken as it is drawn; their area is not in S."""
+    holes = _holes(shell)
+    if holes is None:
         done = "bound no hole: the area that S lacks there is unknown"
-        return [Defect("open edge", len(missing), 0.0, 0.0, 0.0, 0.0, (), done)]
+        return [Defect("open edge", len(shell.open_edges()), 0.0, 0.0, 0.0, 0.0, (), done)]
     found = list[Defect]()
-    for loop in loops:
-        lids = _lids(shell, missing, loop)
-        area = sum(lid.area for lid in lids)
-        beside = " and ".join(dict.fromkeys(lid.material for lid in lids))
-        at = (f"at {shell.mend.place(loop[0])}, {beside}",)
-        u = dict(_any_share(lids))
-        found.append(
-            Defect("open hole", 1, area, 0.0, 0.0, 0.0, at, "left as drawn and not in S", u)
-        )
+    for h in holes:
+        at, done = (f"at {shell.mend.place(h.loop[0])}, {h.beside}",), "left as drawn and not in S"
+        found.append(Defect("open hole", 1, h.area, 0.0, 0.0, 0.0, at, done, dict(h.unsure)))
     return [reduce(add, found)] if found else []
-
-
-def _any_share(lids: Iterable[_Lid]) -> list[tuple[str, float]]:
-    """Return the standard uncertainty in m² of the materials of a hole's lids: any share may be theirs.
-
-    The share is one for the hole, so that lids of one material add up.
-    """
-    areas: dict[str, float] = {}
-    for lid in lids:
-        areas[lid.material] = areas.get(lid.material, 0.0) + lid.area
-    return [(material, float(ANY_SHARE * area)) for material, area in areas.items()]
 
 
 def _beside(part: FaceSet, missing: Mapping[Edge, int], edges: Iterable[Edge]) -> str:
@@ -1151,8 +1133,7 @@ _MOST_OF_ROOM = 1 / 3
 class _Cut(NamedTuple):
     """Hold a piece of a face that lies on a wall.
 
-    ``wall`` is the number of the wall, ``shape`` the outline of the piece in the wall's plane, and
-    ``away`` its distance in m from the wall.
+    ``wall`` is its number, ``shape`` is in the wall's plane, and ``away`` its distance in m.
     """
 
     wall: int
@@ -1245,10 +1226,7 @@ def _put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
 
 
 def _stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
-    """Move open edges of an open object that are at most `OFFSET` from walls onto these walls.
-
-    Returns the standard uncertainty in m² by which this changes the areas, by material.
-    """
+    """Move open edges of an open object that are at most `OFFSET` from walls onto these walls."""
     mend, edges = part.mend, part.open_edges()
     onto: dict[int, list[Polygon]] = {v: [] for edge in edges for v in edge}
     for v, used in onto.items():
@@ -1369,8 +1347,8 @@ def _cells_of(part: FaceSet) -> list[_Cell]:
 def _faces_around(cell: _Cell, part: FaceSet, overlays: Sequence[_Cut] = ()) -> FaceSet:
     """Return the faces of ``part``, or pieces of them, that are around a space.
 
-    ``overlays`` are pieces of faces that lie on others and replace the part that they cover. A face
-    with the space on both of its sides becomes a plate of the thickness `THICKNESS`.
+    ``overlays`` replace the part of a face that they cover. A face with the space on both of its sides
+    becomes a plate of the thickness `THICKNESS`.
     """
     mend, out = part.mend, FaceSet(part.mend)
     flat = cell.triangles.reshape(-1, 3)
@@ -1457,9 +1435,7 @@ def _room_of(
 ) -> Polyhedron:
     """Return the room in a closed shell, with the objects, panels and overlays in it.
 
-    ``others`` are the other components of the mesh. ``as_it_is`` is the geometry of all faces as drawn,
-    which is returned if no object touches another face; None if there is none. Raises DataError if the
-    faces around the room do not close.
+    ``as_it_is``, the geometry of all faces as drawn, is returned if no object touches another face.
     """
     mend, n = shell.mend, sum(len(part.faces) for part in (shell, *others))
     if n > MOST_FACES:
@@ -1533,10 +1509,7 @@ def _require_one_room(mend: Mending, cells: Sequence[_Cell], walls: Walls, n_she
 
 
 def _noted(placed: Sequence[_Placed], cells: Sequence[_Cell], n: int) -> list[FaceSet]:
-    """Note what the components are by which of their sides the room has; return those outside it.
-
-    The first of the cells is the room.
-    """
+    """Note what the components are by which of their sides the room has; return those outside it."""
     volume, covered = np.zeros(len(placed)), np.zeros(len(placed))
     for cell in cells[1:]:
         seen = cell.seen(n).sum(axis=1)
@@ -1614,8 +1587,8 @@ _LEAST_SHARE = 0.05
 def _room_between(part: FaceSet) -> FaceSet | None:
     """Return the faces around the largest cavity between closed solids, such as walls drawn as solids.
 
-    Returns None if the faces are not several closed solids, or if one of them may be the room. Raises
-    MeshError if the solids are thin, as walls are, and enclose no cavity.
+    None if there are no such solids, or one may be the room. MeshError if all are thin and enclose
+    none.
     """
     mend = part.mend
     groups = _solids(part)
@@ -1658,10 +1631,7 @@ def _room_between(part: FaceSet) -> FaceSet | None:
 
 
 def _solids(part: FaceSet) -> list[FaceSet]:
-    """Return the faces of each solid: in the file's order, until each edge has two faces.
-
-    Empty if some edge has one face only in the end.
-    """
+    """Return the faces of each solid: in the file's order, until each edge has two faces."""
     solids, open_edges = list[FaceSet](), set[Edge]()
     for face in part.faces:
         if not open_edges:
@@ -1674,10 +1644,9 @@ def _solids(part: FaceSet) -> list[FaceSet]:
 def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = None) -> Mended:
     """Return the room that the faces of a mesh enclose, and the defects of the mesh that were repaired.
 
-    Where a closed object touches a wall, the touching parts of both faces are removed. All other faces
-    are unchanged if they close as they are drawn. Corners that are at most ``weld`` in m apart become
-    one. Holes up to ``largest_hole`` in m² are closed; None means 1 % of the area of all surfaces.
-    Raises MeshError if the faces enclose no room; its message has the defect, the place and the repair.
+    Corners up to ``weld`` in m apart become one. Holes up to ``largest_hole`` in m² are closed; None is
+    1 % of the area. Raises MeshError if the faces enclose no room, with the defect, the place and the
+    repair.
     """
     for name, value, unit in (("weld", weld, "m"), ("largest_hole", largest_hole or 0.0, "m²")):
         if not 0 <= value < np.inf:

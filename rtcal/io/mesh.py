@@ -429,10 +429,7 @@ _Part = TypeVar("_Part")
 def _within_budget(
     parts: Iterable[_Part], faces_of: Callable[[_Part], int], path: str
 ) -> list[_Part]:
-    """Return the instances of parts; DataError if they, or their faces, are too many.
-
-    An instance is counted before its corners are computed.
-    """
+    """Return the instances of parts; DataError if they, or their faces, are too many."""
     instances: list[_Part] = []
     count = 0
     for part in parts:
@@ -443,10 +440,7 @@ def _within_budget(
 
 
 def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
-    """Return a glTF with a name for each material, and without pictures, within the budget.
-
-    A material without a name has its colour's, where no other has that colour, else its number's.
-    """
+    """Return a glTF with a name for each material, and without pictures, within the budget."""
     head, rest = (content, b"")
     try:
         if ending == ".glb":
@@ -500,10 +494,7 @@ _PLY_GROUPS = {
 
 
 def _by_plyfile(content: bytes, path: str, _unit: bool) -> _Drawn:
-    """Return the faces of a PLY file; its layers or groups, else its colours, are the materials.
-
-    A face may name by its number an element "layer" (I-Simpa's), "material" or "group".
-    """
+    """Return the faces of a PLY file; its layers or groups, else its colours, are the materials."""
     plyfile = library("PLY needs plyfile: pip install 'rtcal[mesh]'", "plyfile")
     head = content[: max(content.find(b"end_header"), 0)]
     for of, n in re.findall(rb"^element (\w+) (\d{1,18})", head, re.MULTILINE):
@@ -567,21 +558,13 @@ def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
     return _Drawn(faces, None if stated is None else float(stated), up == "Y_UP")
 
 
-def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
-    """Yield each geometry below a node, in its place, with the name of the nearest node that has one.
-
-    Programs name the objects of a scene by their nodes, and a geometry by its number. A node itself
-    yields None, so that instances without a geometry count, too.
-    """
-    children = getattr(node, "children", None)
-    if children is None:  # an instance of a geometry, a camera, a light
-        yield from ((name, geometry) for geometry in node.objects("geometry", matrix))
-        return
-    named = getattr(node, "node", node)  # of an instance of a node, that node
-    own = named.name if named.name != named.id else None  # pycollada takes the id without a name
-    yield name, None
-    for child in children:
-        yield from _placed(child, matrix @ node.matrix, own or name)
+    def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]: """Yield each
+    geometry below a node, in its place, with the name of the nearest node; None of a node.""" children
+    = getattr(node, "children", None) if children is None:  # an instance of a geometry, a camera, a
+    light yield from ((name, geometry) for geometry in node.objects("geometry", matrix)) return named =
+    getattr(node, "node", node)  # of an instance of a node, that node own = named.name if named.name !=
+    named.id else None  # pycollada takes the id without a name yield name, None for child in children:
+    yield from _placed(child, matrix @ node.matrix, own or name)
 
 
 def _polygons(part: Any) -> Iterator[Array]:

@@ -192,21 +192,8 @@ def impulse_response(
 ) -> Array:
     """Return the impulse response (n_samples,) from a recorded signal, from shortly before its peak.
 
-    Parameters
-    ----------
-    recorded, played : array (n_samples,)
-        Recording, and signal that was played.
-    rate : float
-        Sampling rate of both in Hz.
-    ends : (lowest, highest)
-        Frequencies in Hz between which the played signal has energy.
-    place : str
-        Name of the recording in messages.
-
-    Raises
-    ------
-    DataError
-        If the recording is silent, is the signal itself, or does not contain the whole signal.
+    ``ends`` are the lowest and highest frequency in Hz in the ``played`` signal (n_samples,). Raises
+    DataError for a silent recording, and one that is the signal or does not contain all of it.
     """
     pyfar, _ = ir.libraries()
     if not np.any(recorded):
@@ -263,10 +250,7 @@ def _sides(rate: float) -> list[tuple[int, int]]:
 
 
 def _onsets_apart(response: Array, rate: float, ends: tuple[float, float]) -> float:
-    """Return the largest difference in s of the onsets of octave bands, half an octave apart.
-
-    The peak is in the middle of ``response``. Bands that do not rise clearly from noise do not count.
-    """
+    """Return the largest difference in s of the onsets of octave bands, half an octave apart."""
     middle, half = len(response) // 2, int(0.5 * rate)
     near = response[max(middle - half, 0) : middle + half]
     size = 2 ** int(np.ceil(np.log2(len(near))))

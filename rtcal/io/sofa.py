@@ -143,10 +143,7 @@ class _File:
         return np.asarray(values)
 
     def points(self, name: str, typed: str = "") -> Array:
-        """Return points in m, (n, 3), by the coordinates that the file states for them.
-
-        ``typed`` is another variable whose coordinates are of their type.
-        """
+        """Return points in m, (n, 3), by the coordinates that the file states for them."""
         points = np.atleast_2d(np.squeeze(self.numbers(name)))
         if points.ndim != 2 or points.shape[1] != 3:
             raise DataError(f"{self.path}: {name} has shape {points.shape}; it must be (n, 3)")
@@ -166,10 +163,8 @@ class _File:
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
     """Return the directions, radiated energies and frequencies of a directivity in a SOFA file.
 
-    The directions (n_directions, 3) are unit vectors with components along the source's axis, to its
-    top and to its left. The energies (n_directions, n_frequencies) are in any unit, and the frequencies
-    in Hz. Raises the errors of `read`, and DataError for a convention that is not among
-    `DIRECTIVITY_CONVENTIONS`, for several measurements, and for a source whose top is along its axis.
+    The directions (n_directions, 3) are unit vectors along the source's axis, to its top and to its
+    left. The energies are (n_directions, n_frequencies), the frequencies in Hz.
     """
     file = _File(path)
     place, convention = file.path, file.convention

@@ -113,8 +113,6 @@ _EXPANDED = re.compile(r"u\w?\s*[(\[]?\s*k\s*=.*")
 def plain(text: str) -> str:
     """Return a word for comparison: in lower case, without blanks and signs.
 
-    Examples
-    --------
     >>> plain("Octave band"), plain("T-30"), plain("T60(20)")
     ('octaveband', 't30', 't6020')
     """
@@ -136,10 +134,6 @@ def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
 def parameter_of(text: str) -> str:
     """Return the name of the parameter for a spelling; "" for an unknown spelling.
 
-    "RT60" may mean several parameters, and gives `OPEN`.
-
-    Examples
-    --------
     >>> parameter_of("measured T30"), parameter_of("RT60"), parameter_of("Lw")
     ('t30', 'rt60', '')
     """
@@ -151,11 +145,8 @@ def parameter_of(text: str) -> str:
 def statistic_of(name: str) -> str | None:
     """Return the kind of statistic that the name of a row, column or sheet means, or None.
 
-    It is "value" for a mean, "standard_deviation", or "" for a statistic that is not read (the least,
-    the median, a number of positions). `DOUBTFUL` means that the name may be a statistic or a position.
+    "" is a statistic that is not read, such as the median; `DOUBTFUL` may also be a position.
 
-    Examples
-    --------
     >>> [statistic_of(n) for n in ("Mean (n=2)", "T20 mean", "Mittel (alle)", "écart-type", "Max of 6")]
     ['value', 'value', 'value', 'standard_deviation', '']
     >>> [statistic_of(n) for n in ("Mean stalls", "Mean 2", "Soll", "Mittelgang", "R2")]
@@ -188,8 +179,6 @@ def _is_parameter(word: str) -> bool:
 def is_missing(cell: str) -> bool:
     """Return whether a cell has no value: it is empty, a dash, or a word such as "N/A".
 
-    Examples
-    --------
     >>> is_missing("--.--"), is_missing("N/A"), is_missing("-1.5")
     (True, True, False)
     """
@@ -242,8 +231,6 @@ class Column:
 def stated(text: str) -> Column:
     """Return the meaning of a column that a text describes, as `Column.meaning` or a usual header does.
 
-    Examples
-    --------
     >>> stated("T20 [ms] at 500 Hz of S1 to Row 5").receiver, stated("band [kHz]").kind
     ('Row 5', 'band')
     """
@@ -275,9 +262,7 @@ _EXAMPLES = (
 def columns_of(header: Sequence[str], extra: Collection[str] = ()) -> list[Column | None]:
     """Return the meaning of each column of a table, from its header; None for an unknown header.
 
-    ``header`` has the text of each column. "R2" is a correlation, or a receiver if another column is a
-    receiver. A statistic such as "Mean" among positions is left out. ``extra`` are headers that may be
-    unknown: their columns are left out.
+    "R2" is a correlation, or a receiver if another column is one. ``extra`` are headers to leave out.
     """
     in_khz = any(name_and_unit(name)[1].lower() == "khz" for name in header)
     if in_khz and any((frequency_of(name) or 1) < 1 for name in header):
@@ -317,8 +302,6 @@ def with_units(
 def column_of(header: str) -> Column | None:
     """Return the meaning of one column of a table, from its header; None for an unknown header.
 
-    Examples
-    --------
     >>> column_of("T20 [s] 500 Hz").parameter, column_of("T20 [min]").wrong, column_of("Volume")
     ('t20', 'T20 cannot have the unit "min"; its units are s, sec, ms', None)
     """
@@ -389,10 +372,7 @@ def no_band(frequency: float) -> str:
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
-    """Return name and unit of a header such as "T20 [s]", "T20 (s)", "T20 / s", "T20 in s" or "T20_s".
-
-    The parts of "T20 [s] 500 Hz" are "T20 500 Hz" and "s".
-    """
+    """Return name and unit of a header such as "T20 [s]", "T20 / s", "T20 in s" or "T20_s"."""
     if within := _UNIT_WITHIN.fullmatch(header):
         return f"{within[1]} {within[3].strip('_ ')}", within[2]
     match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
@@ -413,10 +393,6 @@ def scale_of(parameter: str, unit: str) -> float:
 def position_of(text: str) -> tuple[str, str] | None:
     """Return the source and receiver that a text names; None if it names no receiver.
 
-    The source is "" if the text names only a receiver.
-
-    Examples
-    --------
     >>> position_of("S1R2#2"), position_of("Src1 Mic2"), position_of("Mic 3"), position_of("T20")
     (('S1', 'R2#2'), ('Src1', 'Mic2'), ('', 'Mic 3'), None)
     """
@@ -432,8 +408,6 @@ def position_of(text: str) -> tuple[str, str] | None:
 def repeat_of(text: str) -> str | None:
     """Return rtcal's name of a repeat, such as ``S1R3#2``, for another usual name, or None.
 
-    Examples
-    --------
     >>> [repeat_of(name) for name in ("S1R3 (1)", "S1R3_2", "S1R3 sweep 3", "S1R3")]
     ['S1R3#1', 'S1R3#2', 'S1R3#3', None]
     """
@@ -446,8 +420,6 @@ def repeat_of(text: str) -> str | None:
 def position_in(text: str) -> tuple[str, str] | None:
     """Return the source and receiver within a text, such as a file's name; None if there are none.
 
-    Examples
-    --------
     >>> position_in("hall S1_R2 06/11"), position_in("hall")
     (('S1', 'R2'), None)
     """
@@ -458,8 +430,6 @@ def position_in(text: str) -> tuple[str, str] | None:
 def is_unused(text: str) -> bool:
     """Return whether a spelling is a parameter that rtcal has no use for, such as IACC.
 
-    Examples
-    --------
     >>> is_unused("IACC"), is_unused("T10 [s]"), is_unused("T10_500"), is_unused("T20")
     (True, True, True, False)
     """
@@ -473,8 +443,6 @@ def is_unused(text: str) -> bool:
 def frequency_of(text: str) -> float | None:
     """Return a frequency in Hz, with or without its unit; None if the text is no frequency.
 
-    Examples
-    --------
     >>> [frequency_of(text) for text in ("500", "0,125 kHz", "1k25", "1 000", "R1")]
     [500.0, 125.0, 1250.0, 1000.0, None]
     """
@@ -489,8 +457,6 @@ def frequency_of(text: str) -> float | None:
 def nearest_band(frequency: float) -> float | None:
     """Return the nominal band whose exact centre is within 3 % of a frequency in Hz, or None.
 
-    Examples
-    --------
     >>> nearest_band(155), nearest_band(440)
     (160.0, None)
     """

@@ -300,11 +300,7 @@ def sheets_of(
     where: Mapping[str, str] | None = None,
     extra: Collection[str] = (),
 ) -> list[Sheet]:
-    """Return the tables in a file: those of an instrument or a workbook, or else of a plain text.
-
-    ``content`` is that of the file, and ``path`` its name in messages. ``where`` selects octaves or
-    third-octaves in a text of REW; None reads it as it is. ``extra`` are headers that may be unknown.
-    """
+    """Return the tables in a file: those of an instrument or a workbook, or else of a plain text."""
     for module in FORMATS:
         if module.recognises(content):
             sheets: list[Sheet] = module.sheets(content, path, where or {})
@@ -317,10 +313,7 @@ def sheets_of(
 
 
 def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table], list[str]]:
-    """Return the tables of a file that are to be read, and a note on sheets that are left out.
-
-    An error of a sheet names those that are tables.
-    """
+    """Return the tables of a file that are to be read, and a note on sheets that are left out."""
     of_file = sheets_of(content, path, options.where, options.where)
     if options.repeats:
         of_file = [
@@ -446,10 +439,7 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
 
 
 def _selects_parameter(name: str, cells: Sequence[str], options: _Options) -> bool:
-    """Return whether rows are selected by their parameter: one of several, or of all, in a column.
-
-    Rows may be selected by a room that is called D50, too.
-    """
+    """Return whether rows are selected by their parameter: one of several, or of all, in a column."""
     named = [entry for entry in dict.fromkeys(cells) if _names_parameter(entry)]
     return options.where.get(name) in named and (len(named) > 1 or len({*cells}) == 1)
 
@@ -522,11 +512,7 @@ def _problem(columns: Sequence[Column | None], header: Sequence[str], body: Sequ
 
 
 def stated_columns(sheet: Sheet, stated_text: str, *kinds: str) -> tuple[range, list[Column]]:
-    """Return the lines of a table that have values, and its columns, as the user's text describes them.
-
-    ``stated_text`` is this text, the option ``columns``. ``kinds`` are meanings that a column may have
-    besides those of measured values.
-    """
+    """Return the lines of a table that have values, and its columns, as the user states them."""
     found, lines = _LINES.fullmatch(stated_text), [line for line, _ in sheet.rows]
     first = int(found[1]) if found else lines[min(1, len(lines) - 1)]
     columns = []
@@ -724,10 +710,7 @@ def _last_of(body: Sequence[Row]) -> int:
 def _named_together(
     labels: Sequence[tuple[str, Column | None]], *, of_means: bool = False
 ) -> Column | None:
-    """Return the column that headers above each other name, each with its own column if it is known.
-
-    Statistics are left out, but for means where the table is ``of_means``.
-    """
+    """Return the column that headers above each other name, each with its own column if it is known."""
     texts = [text for text, _ in labels]
     if beside := [c for _, c in labels if c and not c.has_values]:
         of_rows = beside[-1]
@@ -815,12 +798,7 @@ _Value = tuple[str, Key, dict[str, float], str | None]
 
 
 class _Table:
-    """The columns of a header, and the values of the rows below it.
-
-    A row has a value for each column of values. It may also have an uncertainty, a statistic (mean or
-    standard deviation), and the number of positions of a mean. ``at`` is the header's row, and
-    ``titles`` are the cells before it.
-    """
+    """The columns of a header, and the values of the rows below it."""
 
     def __init__(
         self,
@@ -963,10 +941,7 @@ class _Table:
         return self.options.decay_time
 
     def _of_table(self) -> Column | None:
-        """Return the parameter of values that name none: it is stated, or the sheet's name.
-
-        None if all name theirs; DataError where both contradict each other.
-        """
+        """Return the parameter of values that name none: it is stated, or the sheet's name."""
         if all(c.parameter for c in self.columns if c.has_values):
             return None
         place, stated = self.sheet.place, self.options.parameter
@@ -1094,10 +1069,7 @@ class _Table:
     def _statistic(
         self, entries: Mapping[str, str], values: Sequence[str], place: str
     ) -> str | None:
-        """Return the statistic of a row of means or deviations; None for single values.
-
-        A mean over the sources at one receiver is no value of this table's, and is left out.
-        """
+        """Return the statistic of a row of means or deviations; None for single values."""
         if "statistic" in entries:
             word = entries["statistic"]
             found = statistic_of(word)

@@ -51,11 +51,7 @@ class Text:
 
 
 def decode(content: bytes, path: str = "file") -> Text:
-    """Return a file's text, by its byte order mark, or else as UTF-8, or else as Windows-1252.
-
-    A file with bytes that Windows-1252 does not define is read as ISO 8859-1. ``path`` is the file's
-    name in messages. Raises DataError if the bytes violate the encoding of the byte order mark.
-    """
+    """Return a file's text, by its byte order mark, or else as UTF-8, or else as Windows-1252."""
     checks.content(path, content)
     for mark, codec in _BYTE_ORDER_MARKS.items():
         if content.startswith(mark):
@@ -79,8 +75,6 @@ def decode(content: bytes, path: str = "file") -> Text:
 def lines(characters: str) -> Iterator[tuple[int, int, str]]:
     r"""Yield the number of each line from 1, the position where it starts, and its characters.
 
-    Examples
-    --------
     >>> list(lines("a\r\nbc\rd"))
     [(1, 0, 'a'), (2, 3, 'bc'), (3, 6, 'd')]
     """
@@ -92,10 +86,6 @@ def lines(characters: str) -> Iterator[tuple[int, int, str]]:
 def number(token: str, place: str) -> float:
     """Return the decimal number in a text, also with a typographic minus.
 
-    ``place`` is the text's place in messages. Raises DataError for any other text.
-
-    Examples
-    --------
     >>> number("−1.5", "line 1")
     -1.5
     """
@@ -109,13 +99,9 @@ def number(token: str, place: str) -> float:
 def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
     """Return the numbers of a line that a person wrote, with decimal points or decimal commas.
 
-    Blanks and semicolons separate numbers, and so do commas beside blanks. ``counts`` are the allowed
-    counts of numbers. Commas alone separate numbers if the line then has an allowed count, and are
-    decimal commas if the line then has twice such a count. ``place`` is the name of the line in
-    messages. Raises DataError for a text that is no number, and for another count.
+    Commas alone separate numbers if the line then has one of the ``counts``, and are decimal commas if
+    it then has twice such a count.
 
-    Examples
-    --------
     >>> numbers("9,7,3", [3], "sides"), numbers("0,9; 0,8", [2], "T"), numbers("0,9,0,8", [2], "T")
     ([9.0, 7.0, 3.0], [0.9, 0.8], [0.9, 0.8])
     """
@@ -136,8 +122,6 @@ def numbers(text: str, counts: Collection[int], place: str) -> list[float]:
 def unit_of(cell: str) -> str:
     """Return the unit that follows the number in a cell; "" without a unit.
 
-    Examples
-    --------
     >>> unit_of("1.2 s"), unit_of("55 %"), unit_of("1.2")
     ('s', '%', '')
     """

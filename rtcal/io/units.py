@@ -74,10 +74,6 @@ _WORD = re.compile(r"(?!e[+-]?\d)[a-z/]+[\d²³]*")
 def sides(text: str) -> tuple[tuple[float, float, float], float]:
     r"""Return the length, width and height in m that a text gives, and the length of its unit in m.
 
-    Raises DataError for a text that is not three such numbers.
-
-    Examples
-    --------
     >>> sides("9,7,3"), sides("7 x 8 x 3,75 m"), sides("10' x 20' x 8'6\"")
     (((9.0, 7.0, 3.0), 1.0), ((7.0, 8.0, 3.75), 1.0), ((3.048, 6.096, 2.5908), 0.3048))
     """
@@ -167,13 +163,9 @@ def size_doubt(
 ) -> str:
     """Return a sentence that few rooms have this size, with the size in other units, or "".
 
-    ``volume`` in m³ and ``size``, the lengths in m of the box around the room (empty if not known),
-    follow from the length ``unit`` in m of the file's unit. If ``is_stated`` is True, this unit is
-    certain, and only a volume that nearly no room has is doubted. ``advice`` has the texts of the
-    advice.
+    ``volume`` is in m³, ``size`` (x, y, z) in m, () if not known; ``unit`` is the file's in m, which is
+    certain if ``is_stated``.
 
-    Examples
-    --------
     >>> size_doubt(1.644e7, (), 1.0)
     'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
     >>> size_doubt(21.2, (8.4, 8.4, 0.3), 1.0)

@@ -51,11 +51,7 @@ def recognises(content: bytes) -> bool:
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
-    """Return the visible sheets of a workbook that are not empty.
-
-    ``content`` is that of the workbook and ``path`` its name in messages. ``where`` is not used. Raises
-    DataError, which names sheet and cell.
-    """
+    """Return the visible sheets of a workbook that are not empty."""
     for start, is_format in _OTHERS.items():
         if content.startswith(start):
             raise DataError(f"{path}: {is_format}")
@@ -132,10 +128,7 @@ def _workbook(content: bytes, path: str, stored: bool) -> Any:
 
 
 def _rows(values: Any, formulas: Any, place: str) -> tuple[list[Row], list[str]]:
-    """Return the rows of a sheet that have a cell, as text, and notes.
-
-    Hidden rows and columns are left out, and noted; what is struck through is read, and noted.
-    """
+    """Return the rows of a sheet that have a cell, as text, and notes."""
     n_rows, n_columns = values.max_row, values.max_column
     if n_rows > MAX_ROWS or n_columns > MAX_COLUMNS:
         raise DataError(
@@ -198,11 +191,7 @@ def _text(cell: Any, formula: Any, place: str) -> str:
 
 
 def content(tables: Mapping[str, Sequence[Sequence[Any]]]) -> bytes:
-    """Return the bytes of a workbook with one sheet per table.
-
-    ``tables`` has the rows of each table by its name: a header, and rows of values or None. The header
-    is in row 1, and the values begin in cell A2. Raises DataError for names that Excel takes as equal.
-    """
+    """Return the bytes of a workbook with one sheet per table."""
     openpyxl = _library()
     book = openpyxl.Workbook()
     book.remove(book.active)
