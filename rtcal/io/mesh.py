@@ -558,13 +558,17 @@ def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
     return _Drawn(faces, None if stated is None else float(stated), up == "Y_UP")
 
 
-    def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]: """Yield each
-    geometry below a node, in its place, with the name of the nearest node; None of a node.""" children
-    = getattr(node, "children", None) if children is None:  # an instance of a geometry, a camera, a
-    light yield from ((name, geometry) for geometry in node.objects("geometry", matrix)) return named =
-    getattr(node, "node", node)  # of an instance of a node, that node own = named.name if named.name !=
-    named.id else None  # pycollada takes the id without a name yield name, None for child in children:
-    yield from _placed(child, matrix @ node.matrix, own or name)
+def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield each geometry below a node, placed, with the nearest node's name; None of a node."""
+    children = getattr(node, "children", None)
+    if children is None:  # an instance of a geometry, a camera, a light
+        yield from ((name, geometry) for geometry in node.objects("geometry", matrix))
+        return
+    named = getattr(node, "node", node)  # of an instance of a node, that node
+    own = named.name if named.name != named.id else None  # pycollada takes the id without a name
+    yield name, None
+    for child in children:
+        yield from _placed(child, matrix @ node.matrix, own or name)
 
 
 def _polygons(part: Any) -> Iterator[Array]:
