@@ -1,21 +1,15 @@
 """The text of Room EQ Wizard (REW), NTi Audio's XL2, Dirac and Aurora: more than a header and cells.
 
-REW's (File, Export, RT60 data as text) is also of several measurements. Each is a block: "RT60 data
-saved by REW", lines such as "Measurement: S1R1", a line "Format is freq (Hz), BW (octaves), EDT (s), r,
-...", and one row per band. Columns are separated by blanks, tabs, commas or semicolons, as chosen at
-the export. Read are the parameters that rtcal knows. REW's own Topt and T60M, and its row "full" of the
-whole frequency range, are left out. A time of 0 is missing: REW writes it where it found no decay.
+Of REW's measurements, each a block of lines, the parameters that rtcal knows are read, and not its own
+Topt and T60M or its row "full". A time of 0 is missing: REW writes it where it found no decay.
 
-The XL2's (``..._RT60_..._Report.txt``) is of one position: its averages over some decays by band, then
-every decay. Read are the averages. "MeasUnct" is the standard uncertainty of ISO 3382-2:2008, Eq. 3
-with N = 1 position and n decays, 0.88 sqrt((1 + 1.90 / n) / (B T)) for T20: so it is in the four
-reports of firmware 4.94 that were at hand, which their owner has published. No manual was at hand.
+Of the XL2's report (``..._RT60_..._Report.txt``) the averages by band are read. "MeasUnct" is the
+standard uncertainty of ISO 3382-2:2008, Eq. 3, with N = 1 position and n decays: so it is in the four
+published reports of firmware 4.94 that were at hand. No manual was at hand.
 
-Aurora's "ISO3382 Acoustical Parameter File" has a row per parameter, and tables of several channels
-below each other; or a row per file, in which D50 is in percent and Ts in ms without saying so.
-
-Dirac's has a table per parameter, whose first line is the parameter and the bands in Hz, with a row
-for each position and rows of statistics below.
+Aurora has a row per parameter, and tables of several channels below each other; or a row per file, in
+which D50 is in percent and Ts in ms without saying so. Dirac has a table per parameter, with a row for
+each position and rows of statistics below.
 """
 
 from __future__ import annotations

@@ -1,53 +1,15 @@
-r"""Material lists of other programs: a room from a list, and calibrated coefficients back into it.
+"""Material lists of other programs: a room from a list, and calibrated coefficients back into it.
 
-Each format has its grammar: where the materials and every number stand. The rest is for all formats:
-bands are converted, numbers are written, and what rounding does to T is stated. Only numbers that
-change are written; all other bytes stay.
-
-**CATT-Acoustic**, the ``ABS`` statements of a geometry file (.GEO) or a material list::
-
-    ABS carpet   = <2 4 8 20 35 40> {98 209 44}           ; percent, 125 Hz to 4 kHz
-    ABS audience = <68 75 82 85 86 86> L <30 40 50 60 70 80> {128 128 0}
-    ABS drape    = <3 4 11 17 24 35 : 40 45>              ; with 8 and 16 kHz
-    ABS1 panel   = <0.28 0.22 0.17 0.09 0.10 0.11>              ; fractions
-    ABS floorabs = carpet                                 ; another name for carpet
-    ABS K_che    = <2 4 8 20 35 40>                       ; rtcal: "K\u00fcche"
-
-The last comment is rtcal's own: the material's name in the room, which CATT does not read.
-
-**ODEON**, a material library (.Li8), two lines for each material::
-
-    103 Rough concrete
-        0.02000 0.03000 0.03000 0.03000 0.04000 0.07000 0.07000 0.07000
-
-The first line is a number and a description, the second has eight coefficients for the octaves 63 Hz to
-8 kHz, all separated by blanks or tabs. Empty lines between materials are kept. A material's name is its
-number and description; the description alone suffices where no other material has it.
-
-**pyroomacoustics**, its JSON data base of materials. A material is an object with ``coeffs``; its name
-is its key. Its bands are its own ``center_freqs``, else those of the file's outermost object::
-
-    {"center_freqs": [125, 250, 500, 1000, 2000],
-     "absorption": {"Walls": {"brick": {"description": "", "coeffs": [0.02, 0.03, 0.03, 0.04, 0.05]}}},
-     "scattering": {"diffuser": {"coeffs": [0.1, 0.2, 0.3, 0.4, 0.5]}}}
-
-A single object, ``{"description": ..., "coeffs": [...], "center_freqs": [...]}``, is a material named
-"material". Objects below an outermost ``scattering`` are the scattering of the material of the same
-name and bands.
-
-**BRAS** (CSV), one material as the data base publishes them, named after its file: rows of frequencies,
-absorption and, if known, scattering; or a table, of which rows can be selected by further columns::
-
-    20, 25, 31.5, 40                     room,set,material,20,25,31.5
-    0.069, 0.055, 0.04, 0.023            CR2,initial,ceiling,0.069,0.055,0.04
-    0.1, 0.1, 0.1, 0.1
+Each format (`catt`, `odeon`, `pyroomacoustics`, `bras`) has its grammar: where the materials and every
+number stand. The rest is for all formats: bands are converted, numbers are written, and what rounding
+does to T is stated. Only numbers that change are written; all other bytes stay.
 
 Sources: CATT-Acoustic v8.0 User's Manual (CATT 2007), its shoebox and tutorial hall, and the lists that
 I-Simpa's documentation reads; ODEON Room Acoustics Software User's Manual, "Materials" (Odeon A/S), and
 the reader of Just4RIR (Sorbonne Universite, 2018), which reads ODEON's own library; pyroomacoustics
 0.10.1, ``data/materials.json`` and ``parameters.Material``; Aspoeck, Brinkmann, Ackermann, Weinzierl,
 Vorlaender, "BRAS - Benchmark for Room Acoustical Simulation", doi 10.14279/depositonce-6726.3.
-`docs/material_lists.md` lists what was not checked in the programs.
+`docs/material_lists.md` has the grammars, and what was not checked in the programs.
 """
 
 from __future__ import annotations
@@ -818,7 +780,7 @@ _OF_CATT, _OF_ODEON = _OCTAVES[1:], _OCTAVES[:8]
 _DECIMALS = {"catt": 1, "odeon": 5, "bras": 3}
 """Decimals of a written number; of CATT's of a percentage, and its fractions (ABS1) get two more."""
 
-# -- CATT-Acoustic
+# -- CATT-Acoustic: ABS name = <6 to 8 percents> L <scattering> {r g b} ; rtcal: "name in the room"
 
 _NAME = r"[^\s=<>{};:]+"
 _STATEMENT = re.compile(rf"[ \t]*(?:(ABS1?)[ \t]+)?({_NAME})[ \t]*=[ \t]*(.*)", re.I | re.S)
@@ -1024,7 +986,7 @@ catt = Format(
 )
 """Format of CATT-Acoustic's geometry files (``.GEO``) and material lists, with their ABS lines."""
 
-# -- ODEON
+# -- ODEON: a number and a description, then a line with the octaves 63 Hz to 8 kHz
 
 _LARGEST_NUMBER = 2**31 - 1
 _HEAD = re.compile(r"[ \t]*(\d{1,10})[ \t]+(\S(?:.*\S)?)[ \t]*", re.ASCII)
@@ -1093,7 +1055,7 @@ def _new_odeon(room: Room, *_: object) -> bytes:
 odeon = Format(parse=_parse_odeon, new=_new_odeon, bands=lambda _: _OF_ODEON)
 """Format of ODEON's material list (``.Li8``), with the octaves from 63 to 8000 Hz."""
 
-# -- pyroomacoustics
+# -- pyroomacoustics: objects with "coeffs", their "center_freqs" or those of the outermost object
 
 _COEFFS = re.compile(r'"coeffs"\s*:\s*\[([^\]\[{}]*)\]')
 
@@ -1199,7 +1161,7 @@ def _new_pyroomacoustics(room: Room, *_: object) -> bytes:
 pyroomacoustics = Format(parse=_parse_pyroomacoustics, new=_new_pyroomacoustics)
 """Format of the material tables of pyroomacoustics (JSON)."""
 
-# -- BRAS
+# -- BRAS: rows of frequencies, absorption and scattering; or a table with the column "material"
 
 _MAX_BANDS = 100
 

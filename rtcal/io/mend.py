@@ -17,16 +17,12 @@ on walls, reflectors hang free, tables have no bottom. In this order
    A panel that has the room on both sides becomes a reflector, `THICKNESS` thick.
 
 Each is a `Defect` with its number, area and effects on V and S. What cannot be mended safely is
-refused, and the message says how to mend it in the program that drew it. All other defects are listed
-with it, so that they can be mended in one go. Needs shapely and manifold3d (``rtcal[mesh]``) where a
-face is to be cut.
+refused, and the message says how to mend it in the program that drew it, with all other defects.
 
-Walls that are drawn as closed solids, as building models and CAD programs do, bound material: the room
-is the largest space outside all solids. The volume of a room whose faces do not
-close is taken by lines through what is drawn: parallel lines in three directions cross the walls.
-Between its first and second crossing, its third and fourth, a line is in the room. A line with an odd
-number of crossings went through a hole, and takes the mean of its neighbours. Where holes face each
-other a direction is wrong and the others are not, so their spread is the uncertainty.
+Walls that are drawn as closed solids, as building models do, bound material: the room is the largest
+space outside all solids. The volume of a room whose faces do not close is taken by lines that cross
+what is drawn, in three directions: between its first and second crossing, its third and fourth, a line
+is in the room. One with an odd number went through a hole, and takes the mean of its neighbours.
 """
 
 from __future__ import annotations

@@ -419,18 +419,6 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
         elif column and not (k or column.kind) and cells and all(map(position_of, cells)):
             found[k] = replace(column, kind="receiver")  # "R" above R1, R2
     if problem := _problem(found, header, body):
-        unknown = [k for k, column in enumerate(found) if header[k] and not column]
-        if len(unknown) == 1 and header.count(header[unknown[0]]) == 1:
-            name, entry = header[unknown[0]], body[0][1][unknown[0] :][:1] if body else []
-            only = replace(options, where={**options.where, name: "".join(entry)})
-            if (
-                not (options.where or options.on_trial)
-                and not any(map(_is_number, entry))
-                and not _refusal(sheet, only)
-            ):
-                problem += (
-                    f'. To read only its rows with one entry, use where={{"{name}": "{entry[0]}"}}'
-                )
         is_advised = any(advice in problem for advice in (". ", "; write", "; check"))
         before = ". Otherwise give" if is_advised else ". Give"
         raise DataError(f"{place}: {problem}{_proposed(sheet, at, options, before)}")
@@ -613,26 +601,13 @@ def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
             if column and column.has_values and not column.receiver and is_mean:
                 columns[k] = Column("", column.header)
     lines = f"{body[0][0]} to {body[-1][0]}"
-    text, reason = _tried(sheet, lines, columns, options)
-    if _GIVEN_TWICE in reason:  # a column of texts may say where the rows were measured
-        asked = [
-            None if c and not c.kind and len({*own}) > 1 and not any(map(_is_number, own)) else c
-            for c, own in zip(columns, cells, strict=True)
-        ]
-        text, reason = _tried(sheet, lines, asked, options)
+    text = columns_text(lines, _meanings(columns, options))
+    stated = replace(options, columns=text.partition('"')[2][:-1])
+    reason = "" if "?" in text else _refusal(sheet, stated)
     if reason:
         return f"; and {reason}" if reason.startswith("line ") and "state " not in reason else ""
     what = f" the content of each column, with - for a column to leave out: {text}"
     return before + what + _FILL_IN * ("?" in text)
-
-
-def _tried(
-    sheet: Sheet, lines: str, columns: Sequence[Column | None], options: _Options
-) -> tuple[str, str]:
-    """Return the text that proposes columns, and why the table is not read with it; "" if it is."""
-    text = columns_text(lines, _meanings(columns, options))
-    stated = replace(options, columns=text.partition('"')[2][:-1])
-    return text, "" if "?" in text else _refusal(sheet, stated)
 
 
 def _meanings(columns: Sequence[Column | None], options: _Options) -> list[str]:
