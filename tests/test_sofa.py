@@ -93,7 +93,7 @@ def test_what_is_no_room_is_refused_by_name(tmp_path: Path, convention: str) -> 
 def test_bad_files(tmp_path: Path) -> None:
     broken = tmp_path / "broken.sofa"
     broken.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
-    with pytest.raises(DataError, match=r"broken\.sofa: this file cannot be read as SOFA"):
+    with pytest.raises(DataError, match=r"broken\.sofa: cannot be read as SOFA"):
         sofa.read(broken)
     with pytest.raises(DataError, match="byte 0: is not a SOFA"):
         sofa.read(tmp_path / "none.sofa")

@@ -26,6 +26,7 @@ from rtcal.acoustics.room import Material, Piece
 from rtcal.datasets import lookup
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import ListedMaterial, MaterialList
+from rtcal.io.text import Text
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -51,30 +52,15 @@ def names() -> dict[str, str]:
 
     Raises MissingDependencyError if pyroomacoustics, which has the catalogue, is not installed.
     """
-    try:
-        # Only the data file is read; the package itself is not imported.
-        text = (resources.files(_TABLE) / "data" / "materials.json").read_text(encoding="utf-8")
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            "the catalogue needs pyroomacoustics: pip install 'rtcal[geometry]'"
-        ) from error
-    groups = json.loads(text)["absorption"].values()
-    table = {
-        _RENAMED.get(name, name): str(entry["description"])
-        for group in groups
-        for name, entry in group.items()
-    }
-    more = {n: each[0] for rows in _published().values() for n, each in rows.items()}
-    return {
-        **table,
-        **more,
-        OPENING: "Open window, door or hole: sound that leaves does not return",
-    }
+    return {name: said for name, (said, _) in _entries().items()}
 
 
 OPENING = "open_window"
 """Entry that is not of the table."""
-_OF_OPENING = "alpha = 1 by definition, the unit of W. C. Sabine (1900)"
+_OF_OPENING = (
+    "Open window, door or hole: sound that leaves does not return",
+    "alpha = 1 by definition, the unit of W. C. Sabine (1900)",
+)
 
 
 def material(
@@ -101,32 +87,27 @@ def material(
         Without pyroomacoustics.
     """
     f = bands.as_bands(centre_frequencies)
-    entries = {m.name: m for m in material_list().materials}
+    entries = _entries()
     if name not in entries:
         near = ", ".join(sorted(n for n in entries if n.split("_")[0] == name.split("_")[0]))
         raise DataError(
             f'"{name}" is not in the catalogue of {len(entries)} materials'
             + (f"; similar: {near}" if near else "")
         )
-    by_band = dict(zip(entries[name].centre_frequencies, entries[name].alpha, strict=True))
-    for frequency in f:
-        if frequency not in by_band:
-            has = ", ".join(bands.labels(by_band))
-            raise DataError(f'"{name}" has no value at {bands.label(frequency)}; it has {has}')
+    entry = entries[name][1]
+    by_band = dict(zip(entry.centre_frequencies, entry.alpha, strict=True))
+    if lacking := [frequency for frequency in f if frequency not in by_band]:
+        has = ", ".join(bands.labels(by_band))
+        raise DataError(f'"{name}" has no value at {bands.label(lacking[0])}; it has {has}')
     alpha = np.array([by_band[frequency] for frequency in f])
-    tabulated = np.minimum(f, 4000.0)
-    sigma = np.array(
-        [sigma_iso_12999_2(alpha[k : k + 1], tabulated[k : k + 1])[0] for k in range(len(f))]
-    )
-    sigma = SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * sigma
-    if (own := entries[name].sigma) is not None:
-        sigma = np.full(len(f), own)
-    return Material(
-        name=name,
-        alpha=alpha.tolist(),
-        sigma=sigma.tolist(),
-        source=entries[name].source,
-    )
+    sigma = [
+        sigma_iso_12999_2(np.array([a]), np.array([min(frequency, 4000.0)]))[0]
+        for a, frequency in zip(alpha, f, strict=True)
+    ]
+    sigma = SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * np.array(sigma)
+    if entry.sigma is not None:
+        sigma = np.full(len(f), entry.sigma)
+    return Material(name=name, alpha=alpha.tolist(), sigma=sigma.tolist(), source=entry.source)
 
 
 _OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -265,41 +246,60 @@ def origin() -> str:
 
 
 @cache
-def material_list() -> MaterialList:
-    """Return the whole catalogue as a material list, each material in the bands that it has."""
-    descriptions, mounted = names(), _mounting()
-    with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
-        listed = pyroomacoustics.read(path)
-    of_table = [
-        replace(
-            m,
-            name=(name := _RENAMED.get(m.name, m.name)),
-            source=f"{origin()}: {descriptions[name]}; mounting: {mounted.get(name, 'not stated')}",
-        )
-        for m in listed.materials
+def _entries() -> dict[str, tuple[str, ListedMaterial]]:
+    """Return the description of each material, and the material in the bands that it has."""
+    try:
+        # Only the data file is read; the package itself is not imported.
+        with resources.as_file(resources.files(_TABLE) / "data" / "materials.json") as path:
+            groups = json.loads(path.read_text(encoding="utf-8"))["absorption"].values()
+            listed = pyroomacoustics.read(path).materials
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "the catalogue needs pyroomacoustics: pip install 'rtcal[geometry]'"
+        ) from error
+    of_table = {name: str(entry["description"]) for of in groups for name, entry in of.items()}
+    entries = [
+        (replace(m, name=_RENAMED.get(m.name, m.name)), of_table[m.name], f"{origin()}: {{}}")
+        for m in listed
     ]
-    opening = ListedMaterial(
-        name=OPENING,
-        line=0,
-        alpha=(1.0,) * len(_OCTAVES),
-        centre_frequencies=_OCTAVES,
-        spans=(),
-        source=f"{descriptions[OPENING]} ({_OF_OPENING}); mounting: {mounted[OPENING]}",
-        sigma=0.0,
-    )
-    more = [
-        ListedMaterial(
+    opened, by_definition = _OF_OPENING
+    rows = [
+        *(
+            (name, alpha, None, said, f"{_tabulated()['source'][source]['work']}: {{}}")
+            for source, of in _published().items()
+            for name, (said, *alpha) in of.items()
+        ),
+        (OPENING, [1.0] * len(_OCTAVES), 0.0, opened, f"{{}} ({by_definition})"),
+    ]
+    for name, alpha, sigma, said, source in rows:
+        frequencies = _OCTAVES[: len(alpha)]
+        made = ListedMaterial(
             name=name,
             line=0,
             alpha=tuple(alpha),
-            centre_frequencies=_OCTAVES[: len(alpha)],
+            centre_frequencies=frequencies,
             spans=(),
-            source=f"{_tabulated()['source'][source]['work']}: {said}; mounting: {mounted[name]}",
+            sigma=sigma,
         )
-        for source, rows in _published().items()
-        for name, (said, *alpha) in rows.items()
-    ]
-    return replace(listed, path="the catalogue", materials=(*of_table, *more, opening))
+        entries.append((made, said, source))
+    mounted = {n: how for how, of in lookup.table()["mounting"].items() for n in of.split()}
+    return {
+        m.name: (
+            said,
+            replace(
+                m,
+                source=f"{source.format(said)}; mounting: {mounted.get(m.name, 'not stated')}",
+            ),
+        )
+        for m, said, source in entries
+    }
+
+
+@cache
+def material_list() -> MaterialList:
+    """Return the whole catalogue as a material list, each material in the bands that it has."""
+    materials = tuple(m for _, m in _entries().values())
+    return MaterialList(path="the catalogue", text=Text(""), materials=materials)
 
 
 def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
@@ -403,13 +403,6 @@ def nearest(name: str, most: int = 3) -> list[str]:
             f"{float(np.ravel(np.array(at.sigma, float))[0]):.2f} at 500 Hz"
         )
     return lines
-
-
-@cache
-def _mounting() -> dict[str, str]:
-    """Return how the specimen of each entry is mounted."""
-    stated = lookup.table()["mounting"].items()
-    return {entry: mounting for mounting, entries in stated for entry in entries.split()}
 
 
 def _closest(word: str, others: Collection[str]) -> float:

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, MissingDependencyError, RtcalError
 
 MAX_UNPACKED = 2**24
 """Largest size in bytes of the unpacked members of a zip file (xlsx, 3MF)."""
@@ -32,12 +34,25 @@ def require(number: float, most: float, of: str, path: str, remedy: str = "") ->
         raise DataError(f"{path}: has {number:.0f} {of}, but at most {most:.0f} are read{advice}")
 
 
+@contextmanager
+def parsing(path: str, kind: str, remedy: str, extra: str = "all") -> Iterator[None]:
+    """Raise DataError for whatever the parser of a library raises."""
+    try:
+        yield
+    except RtcalError:
+        raise
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{path}: needs another library ({error}): pip install 'rtcal[{extra}]'"
+        ) from error
+    except Exception as error:
+        why = " ".join(str(error).split())
+        raise DataError(f"{path}: cannot be read as {kind}: {why}. {remedy}") from error
+
+
 def members(content: bytes, path: str, kind: str) -> dict[str, int]:
     """Return the sizes in bytes of a zip file's members by name."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            sizes = {part.filename: part.file_size for part in archive.infolist()}
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
-        raise DataError(f"{path}: is not {kind}: {error}") from error
+    with parsing(path, kind, "Export it again"), zipfile.ZipFile(io.BytesIO(content)) as archive:
+        sizes = {part.filename: part.file_size for part in archive.infolist()}
     require(sum(sizes.values()), MAX_UNPACKED, "bytes when unpacked", path)
     return sizes

@@ -76,19 +76,12 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
     budget.require(size, MAX_IFC, "bytes", path, "export one storey, or the room alone")
     _require_sound(path)
     spaces: dict[str, Any] = {}
-    try:
+    with budget.parsing(path, "IFC 2x3 or 4", "Export the model again, or the room as glTF"):
         model = ifcopenshell.open(path)
         length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
         for each in model.by_type("IfcSpace"):
             parts = dict.fromkeys(str(p) for p in (each.Name, each.LongName) if p)
             spaces[text_name("a space", " ".join(parts)) or f"space {each.id()}"] = each
-    except DataError:
-        raise
-    except Exception as error:  # ifcopenshell raises what its parser raises
-        raise DataError(
-            f"{path}: cannot be read as IFC: it is damaged, or not IFC 2x3 or 4. Export the "
-            "model again, or export the room as glTF"
-        ) from error
     if not 0 < length < np.inf:
         raise DataError(f"{path}: its unit of length is {length:g} m, but must be above 0")
     chosen = _chosen(path, spaces, space)

@@ -20,7 +20,7 @@ import struct
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -35,7 +35,7 @@ from rtcal.io.mend import WELD, Faces, Mended, MeshError, mended
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
-from rtcal.support.errors import DataError, MissingDependencyError, RtcalError
+from rtcal.support.errors import DataError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 
@@ -145,22 +145,9 @@ def _named(path: str, names: Sequence[str], of: str, otherwise: str) -> list[str
     return [taken[name] for name in names]
 
 
-@contextmanager
-def _parsing(path: str, kind: str) -> Iterator[None]:
-    """Raise DataError for whatever the parser of a library raises."""
-    try:
-        yield
-    except RtcalError:
-        raise
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"{path}: needs another library ({error}): pip install 'rtcal[mesh]'"
-        ) from error
-    except Exception as error:
-        raise DataError(
-            f"{path}: cannot be read as {kind}: {' '.join(str(error).split())}. Export OBJ from your "
-            "program, one material per layer"
-        ) from error
+def _parsing(path: str, kind: str) -> AbstractContextManager[None]:
+    cure = "Export OBJ from your program, one material per layer"
+    return budget.parsing(path, kind, cure, "mesh")
 
 
 def room(
@@ -216,11 +203,11 @@ def _doubt_first(error: MeshError, faces: Faces) -> None:
 
 
 def _obj(content: bytes, path: str, _unit: bool) -> _Drawn:
-    vertices, polygons, materials, names, _line = obj.drawn(
+    points, polygons, materials, names, _ = obj.drawn(
         content, path, 1.0, Path(path).stem, budget.MAX_FACES
     )
-    points = np.array(vertices)
-    return _Drawn(zip(materials, names, (points[face] for face in polygons), strict=True))
+    corners = (np.array([points[k] for k in face]) for face in polygons)
+    return _Drawn(zip(materials, names, corners, strict=True))
 
 
 def _off(content: bytes, path: str, _unit: bool) -> _Drawn:

@@ -110,27 +110,22 @@ class _File:
             raise DataError(f"{path}, byte 0: is not a SOFA (HDF5) file")
         budget.require(Path(path).stat().st_size, MAX_BYTES, "bytes", self.path)
         netcdf = library("SOFA files need netCDF4: pip install 'rtcal[sofa]'", "netCDF4")
-        try:
-            with netcdf.Dataset(self.path) as data:
-                shapes = [[float(n) for n in v.shape] for v in data.variables.values()]
-                # Before anything is loaded: a file of kilobytes can declare gigabytes.
-                declared = sum(float(np.prod(shape)) for shape in shapes)
-                few = "export fewer responses to a file"
-                budget.require(declared, budget.MAX_SAMPLES, "values", self.path, few)
-                self.attributes = {name: str(data.getncattr(name)) for name in data.ncattrs()}
-                self.types = {n: getattr(v, "Type", "") for n, v in data.variables.items()}
-                self.variables = {
-                    name: np.ma.filled(v[:].astype(float), np.nan)
-                    for name, v in data.variables.items()
-                    if getattr(v.dtype, "kind", "") in "fiu"
-                }
-        except DataError:
-            raise
-        except Exception as error:  # netCDF4 raises what it meets
-            raise DataError(
-                f"{path}: this file cannot be read as SOFA, because it is damaged or does "
-                "not follow AES69. Export it again"
-            ) from error
+        with (
+            budget.parsing(self.path, "SOFA (AES69)", "Export it again"),
+            netcdf.Dataset(self.path) as data,
+        ):
+            shapes = [[float(n) for n in v.shape] for v in data.variables.values()]
+            # Before anything is loaded: a file of kilobytes can declare gigabytes.
+            declared = sum(float(np.prod(shape)) for shape in shapes)
+            few = "export fewer responses to a file"
+            budget.require(declared, budget.MAX_SAMPLES, "values", self.path, few)
+            self.attributes = {name: str(data.getncattr(name)) for name in data.ncattrs()}
+            self.types = {n: getattr(v, "Type", "") for n, v in data.variables.items()}
+            self.variables = {
+                name: np.ma.filled(v[:].astype(float), np.nan)
+                for name, v in data.variables.items()
+                if getattr(v.dtype, "kind", "") in "fiu"
+            }
         self.convention = self.attributes.get("SOFAConventions", "")
 
     def numbers(self, name: str) -> Array:

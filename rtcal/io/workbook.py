@@ -16,6 +16,7 @@ import re
 import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import reduce
 from itertools import zip_longest
 from pathlib import Path
@@ -85,13 +86,8 @@ def _check_size(content: bytes, path: str) -> None:
         for name in sizes:
             if not name.lower().endswith(".xml"):
                 continue
-            try:
+            with _parsing(path):
                 part = archive.read(name)
-            except Exception as error:  # zipfile and zlib raise what they meet
-                raise DataError(
-                    f"{path}: cannot be read as a workbook (xlsx): its part {name} is "
-                    "damaged. Save it as xlsx again"
-                ) from error
             if "worksheets/" in name:
                 cells += len(_CELL.findall(part)) + sum(map(_area, _MERGED.findall(part)))
             elif name.startswith("xl/styles"):
@@ -117,14 +113,13 @@ def _area(merged: bytes) -> int:
 def _workbook(content: bytes, path: str, stored: bool) -> Any:
     """Return openpyxl's workbook: with the stored values of formulas, or the formulas."""
     openpyxl = _library()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # on charts and rules of cells, which are not read
-            return openpyxl.load_workbook(io.BytesIO(content), data_only=stored)
-    except Exception as error:  # openpyxl raises what its parsers raise
-        raise DataError(
-            f"{path}: cannot be read as a workbook (xlsx): it is damaged. Save it as xlsx again"
-        ) from error
+    with _parsing(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # on charts and rules of cells, which are not read
+        return openpyxl.load_workbook(io.BytesIO(content), data_only=stored)
+
+
+def _parsing(path: str) -> AbstractContextManager[None]:
+    return budget.parsing(path, "a workbook (xlsx)", "Save it as xlsx again", "tables")
 
 
 def _rows(values: Any, formulas: Any, place: str) -> tuple[list[Row], list[str]]:
