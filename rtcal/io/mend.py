@@ -30,7 +30,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from itertools import combinations, compress, product
 from operator import add
@@ -130,17 +130,19 @@ class Defect:
         """Return defects of one kind as one."""
         volume = self.volume_effect + other.volume_effect
         u = float(np.hypot(self.volume_uncertainty, other.volume_uncertainty))
-        both = (*self.area_uncertainty.items(), *other.area_uncertainty.items())
-        return Defect(
-            self.kind,
-            self.number + other.number,
-            self.area + other.area,
-            volume,
-            self.area_effect + other.area_effect,
-            float(ANY_SHARE * abs(volume)) if self.kind == "overlay" else u,  # any share is meant
-            (*self.places, *other.places)[:MOST_PLACES],
-            self.done,
-            combined(both),
+        if self.kind == "overlay":  # any share of it is meant
+            u = float(ANY_SHARE * abs(volume))
+        return replace(
+            self,
+            number=self.number + other.number,
+            area=self.area + other.area,
+            volume_effect=volume,
+            area_effect=self.area_effect + other.area_effect,
+            volume_uncertainty=u,
+            places=(*self.places, *other.places)[:MOST_PLACES],
+            area_uncertainty=combined(
+                (*self.area_uncertainty.items(), *other.area_uncertainty.items())
+            ),
         )
 
     def __str__(self) -> str:
@@ -188,16 +190,12 @@ class Mended:
 
     def __str__(self) -> str:
         """Return V, S, the areas of the materials, and each defect."""
-        total, u = sum(self.areas.values()), self.volume_uncertainty
+        total, u = f"S = {sum(self.areas.values()):.6g} m²", self.volume_uncertainty
         spread = f" ± {rounded(u, 2)}"
-        if self.geometry is None:
-            head = (
-                f"V = {rounded(self.volume, 4)}{spread} m³ estimated with rays, S = {total:.6g} "
-                "m² as drawn"
-            )
-            head += ", not closed"
-        else:
-            head = f"V = {self.volume:.6g}{spread * (u > _SHOWN)} m³, S = {total:.6g} m²"
+        head = f"V = {rounded(self.volume, 4)}{spread} m³ estimated with rays, {total} as drawn"
+        head += ", not closed"
+        if self.geometry is not None:
+            head = f"V = {self.volume:.6g}{spread * (u > _SHOWN)} m³, {total}"
             head += f", {len(self.geometry.faces)} faces"
         head += f", x × y × z = {' × '.join(rounded(x, 3) for x in self.size)} m"
         rows = [f"{area:10.3f} m²  {name}" for name, area in self.areas.items()]
@@ -557,7 +555,8 @@ def loops_of(edges: Collection[Edge]) -> list[list[int]] | None:
 
 def welded(mend: Mending) -> FaceSet:
     """Return the faces with corners within ``weld`` of each other as one."""
-    drawn = np.concatenate([np.asarray(p, dtype=float) for p in mend.drawn.polygons])
+    polygons = [np.asarray(p, dtype=float) for p in mend.drawn.polygons]
+    drawn = np.concatenate(polygons)
     if not np.isfinite(drawn).all():
         raise DataError(
             f"{mend.path}: a corner has a coordinate that is not finite; export the mesh again"
@@ -574,17 +573,16 @@ def welded(mend: Mending) -> FaceSet:
     np.add.at(mend.points, label, drawn[first])
     mend.points /= np.bincount(label)[:, np.newaxis]
     shifts = np.linalg.norm(mend.points[order] - drawn, axis=1)
-    ends = np.cumsum([len(p) for p in mend.drawn.polygons])
+    ends = np.cumsum([len(p) for p in polygons])
     corners = (each.tolist() for each in np.split(order, ends[:-1]))
     part = FaceSet(mend, map(Face, corners, mend.drawn.materials, mend.drawn.names))
     moved = np.unique(order[shifts > 1e-4]).tolist()
     if moved:
-        own = np.array([area_of(np.asarray(p)) for p in mend.drawn.polygons])
+        own = np.array([area_of(p) for p in polygons])
         off = np.array([each.mean() for each in np.split(shifts, ends[:-1])])
         # A corner moves the area by half of its neighbours' distance; none is drawn better than others.
         across = [
-            np.linalg.norm(np.roll(p, 1, axis=0) - np.roll(p, -1, axis=0)) / 2
-            for p in map(np.asarray, mend.drawn.polygons)
+            np.linalg.norm(np.roll(p, 1, axis=0) - np.roll(p, -1, axis=0)) / 2 for p in polygons
         ]
         each = float(np.sqrt(np.mean(shifts**2)))
         mend.found(
@@ -616,8 +614,7 @@ def cleaned(part: FaceSet) -> FaceSet:
             unsure=[(m, ANY_SHARE * a) for m, a in zip(slivers.materials, areas, strict=True)],
         )
     if narrow.all():
-        corners = np.concatenate([np.asarray(p) for p in mend.drawn.polygons])
-        across = np.linalg.norm(np.ptp(corners, axis=0))
+        across = np.linalg.norm(np.ptp(np.concatenate(list(mend.drawn.polygons)), axis=0))
         raise mend.refused(
             f"every face is narrower than the weld distance of {mend.weld * 1000:g} mm: as read, "
             f"the mesh is {across * 1000:.2g} mm across. Give a larger --unit, such as 1 for a "
@@ -700,18 +697,13 @@ def _joined(part: FaceSet) -> FaceSet:
         if is_done[first]:
             continue
         is_done[first] = True
-        members, plane, material = (
-            [first],
-            Polygon(points[faces[first].corners]),
-            faces[first].material,
-        )
+        members, plane = [first], Polygon(points[faces[first].corners])
         for i in members:  # the list grows during the loop
             for j in (
-                j for e in edges_of(faces[i].corners) if len(sides[e]) == 2 for j in sides[e]
+                k for e in edges_of(faces[i].corners) if len(sides[e]) == 2 for k in sides[e]
             ):
-                if is_done[j] or faces[j].material != material:
-                    continue
-                if plane.thickness(points[faces[j].corners]) < PLANARITY * 0.45:
+                is_alike = not is_done[j] and faces[j].material == faces[first].material
+                if is_alike and plane.thickness(points[faces[j].corners]) < PLANARITY * 0.45:
                     is_done[j] = True
                     members.append(j)
         loops = outlined(mend, [faces[i].corners for i in members])
@@ -1054,12 +1046,8 @@ _GUESSED = 0.3
 
 def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
     """Return the volume in m³ within polygons, (n, 3) in m each, and its standard uncertainty in m³."""
-    corners = np.concatenate(
-        [
-            polygon[np.array(triangulate(polygon), dtype=int).reshape(-1, 3)]
-            for polygon in map(np.asarray, polygons)
-        ]  # a polygon without area has no triangle
-    )
+    triangles = (np.array(triangulate(p), dtype=int).reshape(-1, 3) for p in polygons)
+    corners = np.concatenate([np.asarray(p)[t] for p, t in zip(polygons, triangles, strict=True)])
     corners = corners @ Rotation.from_euler("xyz", _TILT).as_matrix().T
     found = [_along(np.roll(corners, k, axis=2)) for k in range(3)]
     volumes, unknown = (np.array(column) for column in zip(*found, strict=True))
@@ -1082,10 +1070,8 @@ def _along(corners: Array) -> tuple[float, float]:
         a, first, second = part[:, 0], part[:, 1] - part[:, 0], part[:, 2] - part[:, 0]
         area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
         x, y = np.moveaxis(places - a[:, :2], -1, 0)
-        u, v = (
-            (x * second[:, 1] - y * second[:, 0]) / area,
-            (first[:, 0] * y - first[:, 1] * x) / area,
-        )
+        u = (x * second[:, 1] - y * second[:, 0]) / area
+        v = (first[:, 0] * y - first[:, 1] * x) / area
         line, triangle = np.nonzero((u >= 0) & (v >= 0) & (u + v <= 1))
         along = a[:, 2] + u * first[:, 2] + v * second[:, 2]
         lines.append(line)
@@ -1443,7 +1429,11 @@ def _room_of(
     for part in sorted(others, key=lambda p: (p.is_plane, 0.0 if p.is_plane else -p.size)):
         is_in, is_open = is_within(hull, part), bool(part.open_edges())
         if part.is_plane and not is_in:
-            reaches = _reaches_into(hull, part)
+            # Whether an edge is in the room, and not merely at its walls.
+            ends = mend.points[[edge for corners in part.loops for edge in edges_of(corners)]]
+            shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
+            points = (ends[:, 0] + shares * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
+            reaches = not _at_walls(hull, points[hull.contains(points)], mend.weld)
             kind = "partly outside" if reaches else "outside"
             shares = zip(part.materials, (reaches * ANY_SHARE * part.areas).tolist(), strict=True)
             mend.found(kind, part.names[:1], part.size, unsure=shares)
@@ -1552,19 +1542,14 @@ def _require_shell(shell: FaceSet, outside: Sequence[FaceSet]) -> None:
         )
 
 
+def _at_walls(hull: Polyhedron, points: Array, weld: float) -> bool:
+    """Return whether points (n, 3) are all at the walls of a room."""
+    return not (hull.wall_distance(points) > OFFSET + weld).any()
+
+
 def is_within(hull: Polyhedron, part: FaceSet) -> bool:
     """Return whether all corners of a component are in the room or at its walls."""
-    outside = part.points[~hull.contains(part.points)]
-    return not (hull.wall_distance(outside) > OFFSET + part.mend.weld).any()
-
-
-def _reaches_into(hull: Polyhedron, part: FaceSet) -> bool:
-    """Return whether an edge of a component is in the room, and not merely at its walls."""
-    ends = part.mend.points[[edge for corners in part.loops for edge in edges_of(corners)]]
-    shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
-    points = (ends[:, 0] + shares * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
-    inside = points[hull.contains(points)]
-    return bool((hull.wall_distance(inside) > OFFSET + part.mend.weld).any())
+    return _at_walls(hull, part.points[~hull.contains(part.points)], part.mend.weld)
 
 
 # -- walls that are drawn as solids
@@ -1599,14 +1584,12 @@ def _room_between(part: FaceSet) -> FaceSet | None:
     thin = [4 * s.volume < chord * float(np.sum(s.face_areas)) for s in solids]
     if not any(thin):
         return None
-
-    def is_air(cell: _Cell) -> bool:
-        """Return whether a space is in no solid, just before its largest triangle."""
+    cavities = list[_Cell]()
+    for cell in _cells_of(part):
         triangle = max(cell.triangles, key=area_of)
         before = triangle.mean(axis=0) + _BEFORE * normal_of(triangle)  # out of its plate
-        return not any(solid.contains([before]).any() for solid in solids)
-
-    cavities = [cell for cell in _cells_of(part) if is_air(cell)]
+        if not any(solid.contains([before]).any() for solid in solids):
+            cavities.append(cell)
     box = float(np.prod(np.ptp(mend.points, axis=0)))
     if not cavities or cavities[0].volume < _LEAST_SHARE * box:
         if not all(thin):
