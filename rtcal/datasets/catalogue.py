@@ -38,10 +38,8 @@ _TABLE = "pyroomacoustics"
 _RENAMED = {"gypsum_board": "gypsum_board_perforated"}
 """Entries whose name hides what they are. 19.6 % of this board are holes, and alpha is 1.00 at 500 Hz;
 a plain board is ``plasterboard``."""
-_OTHERS = 3
-"""Largest number of other entries that are named beside the one that was taken."""
-_OF_THE_THING = 2.0
-"""Weight of the word that names the thing, over that of others."""
+_OTHERS = 3  # Largest number of other entries that are named beside the one that was taken
+_OF_THE_THING = 2.0  # Weight of the word that names the thing, over that of others
 _LEAST_LIKENESS = 0.76
 """Share of the letters that two words have in common: 0.93 for "curtains" and "curtain", 0.75 for
 "sofa" and "soft"."""
@@ -205,8 +203,7 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
     )
 
 
-_LEAST_SIGMA = 0.01
-"""m²: the decimals of the published values."""
+_LEAST_SIGMA = 0.01  # m²: the decimals of the published values
 
 
 @cache

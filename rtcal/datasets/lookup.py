@@ -24,19 +24,14 @@ __dir__ = __all__.copy
 
 _LEAST_LIKENESS = 0.83
 """Share of the letters that a misspelt word has in common with the right one: 0.86 for "curtian"."""
-_LEAST_LETTERS = 5
-"""Shorter words are not taken for misspelt ones: "sand" is no "band"."""
-_LEAST_PART = 3
-"""Letters of a part of a compound, such as "tür"."""
+_LEAST_LETTERS = 5  # Shorter words are not taken for misspelt ones: "sand" is no "band"
+_LEAST_PART = 3  # Letters of a part of a compound, such as "tür"
 _LEAST_END = 4
 """Letters of the known end of a compound, of which the first part is not known: Lehmputz is plaster."""
-_LINKS = ("", "s", "n", "en", "es", "er")
-"""Letters between the parts of a German compound."""
+_LINKS = ("", "s", "n", "en", "es", "er")  # Letters between the parts of a German compound
 _ENDINGS = ("s", "es", "e", "n", "en", "er", "em", "ed")
-_THICKNESSES = (25.0, 50.0, 75.0, 100.0)
-"""mm: thicknesses in which porous absorbers are tabulated."""
-_SAME_SIZE = 1.25
-"""Largest ratio of two thicknesses, or weights, that count as one."""
+_THICKNESSES = (25.0, 50.0, 75.0, 100.0)  # mm: thicknesses in which porous absorbers are tabulated
+_SAME_SIZE = 1.25  # Largest ratio of two thicknesses, or weights, that count as one
 _MM = {
     "mm": 1.0,
     "cm": 10.0,

@@ -31,15 +31,11 @@ __dir__ = __all__.copy
 
 MAX_TEXT = 2**22
 """Largest size of a CLF text file in bytes: 30 third-octaves with 72 arcs of 37 levels are 0.6 MB."""
-_STEP = 5
-"""Of the balloon that is made of SOFA's directions, in degrees."""
+_STEP = 5  # Of the balloon that is made of SOFA's directions, in degrees
 _DIRECTIONS = 12
-_LARGEST_GAP = 40.0
-"""Largest distance of a direction from the nearest ones of the file, in degrees."""
-_LEAST_INDEX = 1.0
-"""By how many dB the axis may be below the mean."""
-_SAME_POLE = 1.0
-"""By how many dB the arcs may differ on the axis, where they meet."""
+_LARGEST_GAP = 40.0  # Largest distance of a direction from the nearest ones of the file, in degrees
+_LEAST_INDEX = 1.0  # By how many dB the axis may be below the mean
+_SAME_POLE = 1.0  # By how many dB the arcs may differ on the axis, where they meet
 _MOST_DB, _MOST_HZ = 300.0, 40_000.0
 _STEPS = {"1": 10, "2": 5}
 _ARCS = {"none": 1.0, "horizontal": 0.5, "full": 0.25}

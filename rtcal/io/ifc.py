@@ -40,8 +40,7 @@ _POINT = re.compile(r"-?\d[\d.e+-]*")
 _NEAR = 0.3
 """Largest distance in m of a boundary from the face that it bounds: boundaries may lie in a wall."""
 _FILLINGS = ("IfcDoor", "IfcWindow")
-_STEEP = 0.7
-"""Largest vertical part of a wall's normal."""
+_STEEP = 0.7  # Largest vertical part of a wall's normal
 
 
 @dataclass(frozen=True)

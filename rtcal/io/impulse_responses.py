@@ -532,8 +532,7 @@ def assembled(
     )
 
 
-_SAME_PEAK = 1e-3
-"""Relative difference of the peaks of two files up to which one normalised both."""
+_SAME_PEAK = 1e-3  # Relative difference of the peaks of two files up to which one normalised both
 
 
 def _refuse_normalised(
@@ -583,8 +582,7 @@ three times as far from the top, and for a run of three at twice, are their neig
 and 1 more by their own rounding.
 """
 
-_LARGEST = 1e150
-"""Largest sample whose square is finite, with a margin for sums."""
+_LARGEST = 1e150  # Largest sample whose square is finite, with a margin for sums
 
 
 def _prepared(response: Response) -> tuple[Array, int, float, int, float]:

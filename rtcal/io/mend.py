@@ -77,8 +77,7 @@ SAME = 1e-6
 """Distance in m, and area in m², below which two are the same."""
 ANY_SHARE = 1 / np.sqrt(3)
 """Of an area of which any share may count, all shares alike: rms of what is missing or too much."""
-_SHOWN = 1e-6
-"""Smallest effect in m³ and m² that is printed: smaller ones are rounding."""
+_SHOWN = 1e-6  # Smallest effect in m³ and m² that is printed: smaller ones are rounding
 
 
 class Face(NamedTuple):
@@ -517,8 +516,7 @@ def simplified(corners: list[int]) -> list[int]:
     return corners
 
 
-_MOST_OPEN = 5000
-"""Largest number of open edges whose loops are sought."""
+_MOST_OPEN = 5000  # Largest number of open edges whose loops are sought
 
 
 def loops_of(edges: Collection[Edge]) -> list[list[int]] | None:
@@ -747,10 +745,8 @@ def flattened(part: FaceSet) -> FaceSet:
 
 # -- the shell, and its holes
 
-_HOLE_SHARE = 0.01
-"""Largest area of a hole that is closed, over the area of the shell."""
-_NEAR = 0.2
-"""Distance in m within which a hole's edge and another face are meant to meet."""
+_HOLE_SHARE = 0.01  # Largest area of a hole that is closed, over the area of the shell
+_NEAR = 0.2  # Distance in m within which a hole's edge and another face are meant to meet
 _LOOPS = (
     "close the hole with a face, or delete the faces at its edge if they are not part of the room"
 )
@@ -1033,15 +1029,12 @@ def _beside(part: FaceSet, missing: Mapping[Edge, int], edges: Iterable[Edge]) -
     return part.faces[missing[edge]].material
 
 
-_LINES = 64
-"""Lines along each side of the picture, 4096 in each direction."""
+_LINES = 64  # Lines along each side of the picture, 4096 in each direction
 _TILT = (0.0131, 0.0217, 0.0173)
 """Small turns in radians about x, y and z, so that no line lies in a wall."""
-_AT_ONCE = 250
-"""Triangles that are crossed with all lines at once."""
+_AT_ONCE = 250  # Triangles that are crossed with all lines at once
 _NEIGHBOURHOOD = 9
-_GUESSED = 0.3
-"""Relative standard uncertainty of the part of lines with an odd number of crossings."""
+_GUESSED = 0.3  # Relative standard uncertainty of the part of lines with an odd number of crossings
 
 
 def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
@@ -1098,10 +1091,8 @@ def _along(corners: Array) -> tuple[float, float]:
 
 # -- what is in the room
 
-_FACING = 0.999
-"""Least product of the normals of planes that count as parallel."""
-_BEFORE = 5e-4
-"""Distance in m before a face at which there is air."""
+_FACING = 0.999  # Least product of the normals of planes that count as parallel
+_BEFORE = 5e-4  # Distance in m before a face at which there is air
 COVERED = 0.95
 """Share of a face that lies on others from which it lies on them."""
 THICKNESS = 0.002
@@ -1561,8 +1552,7 @@ _LONGEST = 150.0
 """Longest side in m of a building that is drawn in m; a longer one is taken as in mm, cm or inches."""
 _THIN_SHARE = 0.08
 """The same chord as a share of the longest side, for such a mesh: that of a room of 10 m."""
-_LEAST_SHARE = 0.05
-"""Least volume of the room, as a share of that of the box around the solids."""
+_LEAST_SHARE = 0.05  # Least volume of the room, as a share of that of the box around the solids
 
 
 def _room_between(part: FaceSet) -> FaceSet | None:

@@ -56,8 +56,7 @@ _REFUSED = {
 }
 _SIMPLER = "simplify the model"
 _JSON_CHUNK = 0x4E4F534A
-_ROOMS = 1.5, 1000.0
-"""Least and largest length in m of the longest side of the box around a room."""
+_ROOMS = 1.5, 1000.0  # Least and largest length in m of the longest side of the box around a room
 
 
 Row = tuple[str, str, Any]

@@ -36,8 +36,7 @@ from rtcal.support.types import Array, Paths
 __all__ = ["from_sweep", "interrupted"]
 __dir__ = __all__.copy
 
-_PARTS = 6
-"""Number of parts of a band, in each of which a sweep must have energy."""
+_PARTS = 6  # Number of parts of a band, in each of which a sweep must have energy
 _EXCITED = 1e-3
 """Least energy of a part of a band over that of the strongest: 30 dB less than in the others."""
 _PIECES, _EXCITED_PIECE = 32, 0.1
@@ -58,8 +57,7 @@ _ONSETS = 0.015
 """Largest difference in s of the onsets of bands. In 40 rooms of image sources, 13 of them with a weak
 direct sound at high frequencies, the right sweep had up to 0.005. One of a length or rate 8 % off had
 0.021 and more, since such a sweep delays each band by another time."""
-_LEAST_TAIL = 0.05
-"""Shortest response in s that is taken."""
+_LEAST_TAIL = 0.05  # Shortest response in s that is taken
 _QUIET = 0.01
 """Largest peak over full scale of a recording of which a note says that it is quiet (-40 dB)."""
 
@@ -276,15 +274,12 @@ def _alike(recorded: Array, played: Array) -> bool:
 
 _BLOCK, _SMOOTHED = 0.01, 5
 """Length in s of the blocks in which stops are looked for, and how many are averaged."""
-_LEAST_ON = 0.5
-"""Shortest time in s that a noise is on: it must become steady."""
-_FALL = 4.0
-"""Power by which the noise has fallen at its stop, 6 dB; `_LEAD` is before."""
+_LEAST_ON = 0.5  # Shortest time in s that a noise is on: it must become steady
+_FALL = 4.0  # Power by which the noise has fallen at its stop, 6 dB; `_LEAD` is before
 _LEAD = 0.3
 """Time in s before a stop that a level curve begins, and by which it ends before the next noise, which
 begins before it is found."""
-_LEAST_FALL = 10**1.5
-"""Least power by which the level falls after a stop."""
+_LEAST_FALL = 10**1.5  # Least power by which the level falls after a stop
 _STEADY = 4.0
 """Largest power before the stop over that of the whole noise, or the inverse, in a band."""
 _MOST_UNSTEADY = 0.5
@@ -295,8 +290,7 @@ _BLOCKS_PER_T = 40
 """Number of blocks in T over which a level is averaged; ISO 3382-2 asks for at least 12."""
 _STEPS = 10
 """Number of regressions, each in the range of the last one's line; nothing changes after five."""
-_PRECISION = 3
-"""Number of stops at each position by the precision method of ISO 3382-2:2008."""
+_PRECISION = 3  # Number of stops at each position by the precision method of ISO 3382-2:2008
 _OF_UNCERTAINTY = (
     "the uncertainty is the larger of the standard error over the stops and the theoretical standard "
     "deviation of ISO 3382-2 for as many decays"

@@ -89,12 +89,9 @@ MAX_BYTES = 2**22
 """Largest size of a table in bytes; a compressed workbook of 5000 positions has a tenth of it."""
 MAX_COLUMNS = 1000
 MAX_LINES_BEFORE_HEADER = 40
-_MOST_NAMED = 6
-"""Largest number of columns or statistics that a message names."""
-_MOST_SEEN = 200
-"""Largest number of rows whose cells a proposal of columns rests on."""
-_OTHER_UNITS = {"s": "ms", "": "%"}
-"""The unit in which programs write a parameter, too."""
+_MOST_NAMED = 6  # Largest number of columns or statistics that a message names
+_MOST_SEEN = 200  # Largest number of rows whose cells a proposal of columns rests on
+_OTHER_UNITS = {"s": "ms", "": "%"}  # The unit in which programs write a parameter, too
 _SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII

@@ -139,8 +139,7 @@ Row = tuple[int, list[str]]
 """The number of a line, and its cells."""
 
 SEPARATORS = (";", "\t", "|", ",")
-_GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")
-"""What separates columns that are aligned by blanks."""
+_GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")  # What separates columns that are aligned by blanks
 
 
 @dataclass(frozen=True)

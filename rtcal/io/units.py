@@ -145,10 +145,8 @@ def check_volume(volume: float, unit: float, path: str, advice: Advice = OF_MESH
     )
 
 
-_USUAL = 5.0, 1_000_000.0
-"""Volume in m³ of rooms: a bathroom, and the largest hall."""
-_LOWEST = 1.5
-"""Least height of a room in m."""
+_USUAL = 5.0, 1_000_000.0  # Volume in m³ of rooms: a bathroom, and the largest hall
+_LOWEST = 1.5  # Least height of a room in m
 _LARGE = 30_000.0
 """Volume in m³ of nearly all concert halls at most. One that is drawn in feet has 35 times its own."""
 
