@@ -66,6 +66,9 @@ def material(
 ) -> Material:
     """Return a material of the catalogue: alpha, its uncertainty sigma, and its source.
 
+    Raises DataError for an unknown name, or a band that the catalogue lacks for this material. Raises
+    MissingDependencyError without pyroomacoustics.
+
     Parameters
     ----------
     name : str
@@ -76,13 +79,6 @@ def material(
         Factor by which sigma is larger than ISO 12999-2's standard deviation between laboratories,
         because a material in a room differs more from a table than two laboratories differ. Above
         4 kHz, where the standard has no value, sigma is that at 4 kHz. An open window's sigma is 0.
-
-    Raises
-    ------
-    DataError
-        For an unknown name, or a band that the catalogue lacks for this material.
-    MissingDependencyError
-        Without pyroomacoustics.
     """
     f = bands.as_bands(centre_frequencies)
     entries = _entries()
@@ -163,6 +159,8 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
     over area in the catalogue. A piece with one published value has this share. At 8000 Hz the ratio is
     that of 4000 Hz.
 
+    Raises DataError for an unknown name or a band that the catalogue lacks for this piece.
+
     Parameters
     ----------
     name : str
@@ -171,11 +169,6 @@ def piece(name: str, number: float, centre_frequencies: Sequence[float] | Array)
         Number of pieces in the room.
     centre_frequencies : sequence (n_bands,)
         Centre frequencies in Hz of octaves from 125 to 8000 Hz.
-
-    Raises
-    ------
-    DataError
-        For an unknown name or a band that the catalogue lacks for this piece.
 
     Examples
     --------

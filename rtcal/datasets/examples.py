@@ -70,6 +70,8 @@ def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
     and its name ``hidden`` for the other two. The rooms were simulated by a program that is independent
     of rtcal (`benchmarks/studies/hidden_world`).
 
+    Raises DataError for another name.
+
     Parameters
     ----------
     which : {"case", "closed", "identified", "not_identified"}
@@ -77,11 +79,6 @@ def hidden_room(which: str = "case") -> tuple[Case, dict[str, Any]]:
         covered. "closed": the same room, with everything closed or taken out that can be. "identified":
         a room in which rtcal identifies the effect. "not_identified": a room in which rtcal identifies
         no effect.
-
-    Raises
-    ------
-    DataError
-        For another name.
     """
     from rtcal.finder.case import Case
 

@@ -107,20 +107,14 @@ class Result(ABC):  # some kinds have methods that each of them must have
 def load(path: str | os.PathLike[str]) -> Any:
     """Return a saved result from its folder or file, as the object that was saved.
 
+    The result, such as a `CalibrationResult`, a `Loop` or a `Finding`, has its room, data and methods,
+    and prints the same as when it was saved. Raises DataError if the file is not a result, or if an
+    incompatible version of rtcal wrote it.
+
     Parameters
     ----------
     path : path
         Folder that ``save`` or a command such as ``rtcal calibrate`` wrote, or its ``result.json``.
-
-    Returns
-    -------
-    CalibrationResult, JointResult, Loop, PositionsResult, Finding, Verification or another
-        Result with its room, data and methods, which prints the same as when it was saved.
-
-    Raises
-    ------
-    DataError
-        If the file is not a result, or if an incompatible version of rtcal wrote it.
     """
     place = checks.path("path", path)
     if place.is_dir():

@@ -53,6 +53,10 @@ def read(
     The energy in an octave is the mean over the file's frequencies or third-octaves in this octave. A
     SOFA file is interpolated at every 5 degrees.
 
+    Raises DataError for a file of another kind, a band without a frequency in the file, missing
+    directions, levels that are not numbers, and an axis in which the loudspeaker does not radiate most.
+    Raises MissingDependencyError for a SOFA file, if netCDF4 is not installed.
+
     Parameters
     ----------
     path : path
@@ -61,14 +65,6 @@ def read(
         Octave bands in Hz.
     aim, up : (x, y, z)
         Directions in which the loudspeaker's axis and its top point, in the room's coordinates.
-
-    Raises
-    ------
-    DataError
-        For a file of another kind, a band without a frequency in the file, missing directions, levels
-        that are not numbers, and an axis in which the loudspeaker does not radiate most.
-    MissingDependencyError
-        For a SOFA file, if netCDF4 is not installed.
     """
     place = os.fspath(checks.path("path", path))
     wanted = np.atleast_1d(checks.array("frequencies", frequencies)).ravel().tolist()

@@ -106,6 +106,10 @@ def read(
     the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``; repeats are averaged and count as one
     position. Positions in a SOFA file are named as in `rtcal.io.sofa.read`.
 
+    The `Analysis` has the ``measurement``, with reasons for values that are missing, and cautions.
+    Raises DataError for a file that cannot be read, and for several channels without ``channels``. With
+    ``level``, also for files of one source that have the same peak, because they were normalised.
+
     Parameters
     ----------
     path : path or sequence of paths
@@ -123,17 +127,6 @@ def read(
     level : bool
         Whether the power of each source and the gain were the same in all files, so that the relative
         level of the receivers is evaluated, too.
-
-    Returns
-    -------
-    Analysis
-        The ``measurement``, with reasons for values that are missing, and cautions.
-
-    Raises
-    ------
-    DataError
-        For a file that cannot be read, and for several channels without ``channels``. With ``level``,
-        also for files of one source that have the same peak, because they were normalised.
     """
     doubts = list[str]()
     responses = responses_of(path, channels, repeats, doubts)
@@ -396,6 +389,10 @@ def analyse(
 ) -> Analysis:
     """Return the room-acoustic parameters (T20, EDT, C80, ...) of impulse responses, in bands.
 
+    The `Analysis` has the ``measurement``, with reasons for values that are missing, and cautions.
+    Raises DataError for a silent or broken response, or a band above half the sampling rate. Raises
+    MissingDependencyError if pyfar or pyrato is not installed.
+
     Parameters
     ----------
     signals : pyfar.Signal, or mapping of (source, receiver) to pyfar.Signal
@@ -408,18 +405,6 @@ def analyse(
         default 35 dB for T20, 45 dB for T30, and 20 dB for all others.
     progress : callable, optional
         Function that is called after each response.
-
-    Returns
-    -------
-    Analysis
-        The ``measurement``, with reasons for values that are missing, and cautions.
-
-    Raises
-    ------
-    DataError
-        For a silent or broken response, or a band above half the sampling rate.
-    MissingDependencyError
-        If pyfar or pyrato is not installed.
     """
     libraries()
     needed = ranges_of(minimum_range)

@@ -79,6 +79,11 @@ _BESIDE = re.compile(
 def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
     """Return the products in tables of a manufacturer or laboratory, with their alpha, as materials.
 
+    Raises DataError for a table without bands, an ambiguous unit, an alpha that is not a number from 0
+    to 1.5 (it may be above 1 in a reverberation room, ISO 354), and a product that is given twice. The
+    message names the file, the sheet, the line and the rule. Raises MissingDependencyError for a
+    workbook, if openpyxl is not installed.
+
     Parameters
     ----------
     path : path
@@ -87,15 +92,6 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
         Meaning of each column in order, with the first line of values and optionally the last, for a
         table without usual headers: ``"from line 3: product; -; value [%] at 250 Hz; value [%] at 500
         Hz"``, or ``"from line 3 to 9: band; value [-] of Rug"``. An error message proposes it.
-
-    Raises
-    ------
-    DataError
-        For a table without bands, an ambiguous unit, an alpha that is not a number from 0 to 1.5
-        (it may be above 1 in a reverberation room, ISO 354), and a product that is given twice. The
-        message names the file, the sheet, the line and the rule.
-    MissingDependencyError
-        For a workbook, if openpyxl is not installed.
     """
     checks.text("columns", columns)
     files = [checks.path("path", path)]

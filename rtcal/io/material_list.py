@@ -574,6 +574,9 @@ class Format:
         The list is a copy of ``template``, or of the existing file at ``path``, in which only the
         numbers of alpha and scattering that change are replaced. Without either, a new list is written.
 
+        Raises DataError for a material that the file does not have, and for a file that cannot be read
+        or written.
+
         Parameters
         ----------
         room : Room
@@ -593,11 +596,6 @@ class Format:
             Names in the file of materials that have another name there, by the name in the room.
         selected
             Further arguments of this format, as for `read`.
-
-        Raises
-        ------
-        DataError
-            For a material that the file does not have, and for a file that cannot be read or written.
         """
         whole = checks.instance("room", room, Room)
         room = whole.without_pieces

@@ -82,6 +82,10 @@ def read(
 ) -> Faces:
     """Return the faces of a mesh file as they are drawn, without a check that they enclose a room.
 
+    The `Faces` have corners in m, material and name of each face, and notes on how the file was read.
+    Raises DataError for a format that is not read, and for a broken file. Raises MissingDependencyError
+    if the format needs trimesh or ifcopenshell, which is not installed.
+
     Parameters
     ----------
     path : path
@@ -93,18 +97,6 @@ def read(
     weld : float
         For a building model: largest gap in m between the ends of a face's outline that counts as
         closed.
-
-    Returns
-    -------
-    Faces
-        Corners in m, material and name of each face, and notes on how the file was read.
-
-    Raises
-    ------
-    DataError
-        For a format that is not read, and for a broken file.
-    MissingDependencyError
-        If the format needs trimesh or ifcopenshell, which is not installed.
     """
     if unit is not None:
         unit = checks.positive("unit", unit, "m")

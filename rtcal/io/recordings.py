@@ -75,6 +75,9 @@ def from_sweep(
 ) -> Analysis:
     """Return the room-acoustic parameters (T20, EDT, C80, ...) from recordings of a sweep, in bands.
 
+    Raises DataError for files that cannot be read, for different sampling rates, for a given band that
+    the sweep does not excite, and for a recording that lacks a part of the sweep, or is the sweep.
+
     Parameters
     ----------
     path : path or sequence of paths
@@ -88,12 +91,6 @@ def from_sweep(
         sweep does not excite are left out.
     channels, minimum_range, repeats, level, progress
         Options of reading and evaluation: see `rtcal.io.impulse_responses.read`.
-
-    Raises
-    ------
-    DataError
-        For files that cannot be read, for different sampling rates, for a given band that the sweep
-        does not excite, and for a recording that lacks a part of the sweep, or is the sweep.
     """
     doubts = list[str]()
     given = [*ir.responses_of(sweep, 1, False, doubts).values()]
@@ -326,10 +323,8 @@ def interrupted(
     ``path``, ``bands``, ``channels``, ``minimum_range``, ``repeats`` and ``progress`` are those of
     `rtcal.io.impulse_responses.read`, with the same defaults.
 
-    Raises
-    ------
-    DataError
-        For files that cannot be read, and for a recording without a steady noise that stops.
+    Raises DataError for files that cannot be read, and for a recording without a steady noise that
+    stops.
     """
     ir.libraries()
     doubts = list[str]()

@@ -198,13 +198,9 @@ def read(path: str | os.PathLike[str]) -> Responses:
 
     The `Responses` have the samples, the sampling rate, the pairs, and the positions in m.
 
-    Raises
-    ------
-    DataError
-        For a file that netCDF4 cannot read, a convention for other data than room responses, several
-        sampling rates, and positions that are not numbers.
-    MissingDependencyError
-        If netCDF4 is not installed.
+    Raises DataError for a file that netCDF4 cannot read, a convention for other data than room
+    responses, several sampling rates, and positions that are not numbers. Raises MissingDependencyError
+    if netCDF4 is not installed.
     """
     file = _File(path)
     place, convention = file.path, file.convention

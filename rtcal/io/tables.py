@@ -174,6 +174,11 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
 
     Columns are recognised by their headers: source, receiver, band, and parameters such as "T20 [s]".
 
+    The `MeasuredTable` has the ``measurement``, sentences on doubtful values (``doubts``), and how each
+    column was read. Raises DataError for a table that cannot be read; the message names the file, the
+    sheet, the line and the rule. Raises MissingDependencyError for a workbook (xlsx), if openpyxl is
+    not installed.
+
     Parameters
     ----------
     path : path or sequence of paths
@@ -201,18 +206,6 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
         are then averaged only if their receivers are named ``R1``, ``R1#2``, ``R1#3`` and so on.
     sheets : collection of str, optional
         Names of the sheets of a workbook to read; by default all with a header.
-
-    Returns
-    -------
-    MeasuredTable
-        The ``measurement``, sentences on doubtful values (``doubts``), and how each column was read.
-
-    Raises
-    ------
-    DataError
-        For a table that cannot be read; the message names the file, the sheet, the line and the rule.
-    MissingDependencyError
-        For a workbook (xlsx), if openpyxl is not installed.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     names = [os.fspath(checks.path("path", p)) for p in paths]
