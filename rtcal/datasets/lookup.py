@@ -32,18 +32,7 @@ _LINKS = ("", "s", "n", "en", "es", "er")  # Letters between the parts of a Germ
 _ENDINGS = ("s", "es", "e", "n", "en", "er", "em", "ed")
 _THICKNESSES = (25.0, 50.0, 75.0, 100.0)  # mm: thicknesses in which porous absorbers are tabulated
 _SAME_SIZE = 1.25  # Largest ratio of two thicknesses, or weights, that count as one
-_MM = {
-    "mm": 1.0,
-    "cm": 10.0,
-    '"': 25.4,
-    "″": 25.4,
-    "”": 25.4,
-    "in": 25.4,
-    "inch": 25.4,
-    "inches": 25.4,
-    "''": 25.4,
-}
-"""Length in mm of each unit."""
+_MM = {"mm": 1.0, "cm": 10.0} | dict.fromkeys(('"', "″", "”", "in", "inch", "inches", "''"), 25.4)
 _OF_POROUS = {"minwool", "glasswool", "rockwool", "fibreglass", "foam", "woodwool", "insulation"}
 """Words of absorbers whose thickness decides."""
 _LENGTH = re.compile(

@@ -77,9 +77,8 @@ def read(
     least = float(made.gains[:, 0].mean(axis=1).min())
     if least < 10 ** (-_LEAST_INDEX / 10):
         raise DataError(
-            f"{place}: the energy on the axis is only {least:.2g} times the mean over the "
-            "sphere, so the source does not radiate along the file's axis. Check the "
-            "orientation of the balloon in the file"
+            f"{place}: the energy on the axis is only {least:.2g} times the mean over the sphere. "
+            "Check the orientation of the balloon in the file"
         )
     return made
 
@@ -120,9 +119,8 @@ def _at_equal_angles(directions: Array, energy: Array, place: str) -> Array:
     gap = float(np.degrees(np.arccos(np.clip(-hull.equations[:, 3], -1, 1))).max())
     if gap > _LARGEST_GAP:
         raise DataError(
-            f"{place}: the directions leave gaps, in which the nearest direction is up to "
-            f"{gap:.0f} degrees away; at most {_LARGEST_GAP:.0f} degrees are allowed. "
-            "Export more directions"
+            f"{place}: the directions leave gaps, in which the nearest direction is up to {gap:.0f} "
+            f"degrees away, but may be {_LARGEST_GAP:.0f}. Export more directions"
         )
     corners = np.linalg.inv(points[hull.simplices])
     phi = np.radians(np.arange(0, 360, _STEP))

@@ -328,9 +328,8 @@ class MaterialList:
             before, first = asked.setdefault(span, (value, place))
             if before != value:
                 raise DataError(
-                    f"{place} = {value}, but {first} has {before}, and both are the same "
-                    "entry of the list: give one of them an entry of its own in the "
-                    "program"
+                    f"{place} = {value}, but {first} has {before}, and both are the same entry of the "
+                    "list: give one of them an entry of its own in the program"
                 )
             if characters is not None:
                 written[span] = characters
@@ -430,29 +429,24 @@ def coefficients(
 MOST_NAMED = 5
 RECORD = "the record of the calibration"
 LOST = {
-    "name": ("name",),
-    "author": ("author",),
-    "areas and volume": ("areas", "volume", "surfaces", "dimensions"),
-    "sigma": ("sigma",),
-    "uncertainties of areas, volume and climate": (
-        "area_sigma",
-        "volume_sigma",
-        "common_area_sigma",
-        "common_alpha_sigma",
-        "climate_sigma",
-    ),
-    "alpha_min": ("alpha_min",),
-    "correlations": ("band_correlation", "material_correlation"),
-    "what scattering means": ("scattering_model",),
-    "air": ("air",),
-    "where coefficients are from": ("sources",),
-    "coefficients that were above 1": ("clipped",),
-    RECORD: ("calibration",),
-    "mesh": ("scene.mesh",),
-    "sources and receivers": ("scene.sources",),
-    "directivity of sources": ("scene.directivity",),
-    "uncertainty of positions": ("scene.position_uncertainty",),
-    "names of surfaces": ("scene.surfaces",),
+    "name": "name",
+    "author": "author",
+    "areas and volume": "areas volume surfaces dimensions",
+    "sigma": "sigma",
+    "uncertainties of areas, volume and climate": "area_sigma volume_sigma common_area_sigma "
+    "common_alpha_sigma climate_sigma",
+    "alpha_min": "alpha_min",
+    "correlations": "band_correlation material_correlation",
+    "what scattering means": "scattering_model",
+    "air": "air",
+    "where coefficients are from": "sources",
+    "coefficients that were above 1": "clipped",
+    RECORD: "calibration",
+    "mesh": "scene.mesh",
+    "sources and receivers": "scene.sources",
+    "directivity of sources": "scene.directivity",
+    "uncertainty of positions": "scene.position_uncertainty",
+    "names of surfaces": "scene.surfaces",
 }
 """Properties of a room that no material list holds, in words, with the room's fields."""
 
@@ -734,7 +728,7 @@ def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
     of = "" if len(lacking) == room.n_materials else f" of {', '.join(lacking)}"
     return (
         *((f"scattering{of}",) if lacking else ()),
-        *(words for words, names in LOST.items() if any(is_stated(room, n) for n in names)),
+        *(words for words, names in LOST.items() if any(is_stated(room, n) for n in names.split())),
     )
 
 

@@ -104,9 +104,8 @@ def from_sweep(
     for each in recordings.values():
         if each.sampling_rate != excitation.sampling_rate:
             raise DataError(
-                f"{each.place}: the sampling rate is {each.sampling_rate:g} Hz, but that "
-                f"of the sweep {name} is {excitation.sampling_rate:g} Hz. Convert one of "
-                "them"
+                f"{each.place}: the sampling rate is {each.sampling_rate:g} Hz, but that of the "
+                f"sweep {name} is {excitation.sampling_rate:g} Hz. Convert one of them"
             )
     rate = excitation.sampling_rate
     centres, fractions = ir.centres_of(bands, rate)
@@ -195,9 +194,8 @@ def impulse_response(
         raise DataError(f"{place}: is silent (every sample is 0); leave it out")
     if len(recorded) <= len(played):
         raise DataError(
-            f"{place}: the recording lasts {len(recorded) / rate:.2f} s, but the sweep "
-            f"{len(played) / rate:.2f} s; a recording must be longer than its sweep. Check "
-            "that sweep and recording are not exchanged, and that this sweep was played"
+            f"{place}: a recording must be longer than its sweep, but it lasts "
+            f"{len(recorded) / rate:.2f} s and the sweep {len(played) / rate:.2f} s. {_EXCHANGED}"
         )
     if _alike(recorded, played):
         raise DataError(f"{place}: this is the sweep itself; give its recording in the room")
@@ -210,38 +208,30 @@ def impulse_response(
     peak = int(np.argmax(np.abs(response)))
     centred = np.roll(response, n // 2 - peak)
     energy = centred**2
-    before, after = (energy[n // 2 + a : n // 2 + b].sum() for a, b in _sides(rate))
+    early, half = n // 2 - int(_BEFORE * rate), int(0.5 * rate)
+    before, after = energy[early - half : early].sum(), energy[early : n // 2 + half].sum()
     if energy[n // 2] < _COMPACT**2 * energy.mean() or before > _CAUSAL * after:
-        raise DataError(
-            f"{place}: the sweep is not found in this recording. Check that this sweep was "
-            "played, and that sweep and recording are not exchanged"
-        )
+        raise DataError(f"{place}: the sweep is not found in this recording. {_EXCHANGED}")
     if (apart := _onsets_apart(centred, rate, ends)) > _ONSETS:
         raise DataError(
-            f"{place}: the direct sound is {1000 * apart:.0f} ms later in one band than in "
-            "another, so another sweep was played: a longer or shorter one, or one with "
-            "another sampling rate. Give the file that was played"
+            f"{place}: the direct sound is {1000 * apart:.0f} ms later in one band than in another, "
+            "so another sweep was played. Give the file that was played"
         )
     if peak >= len(recorded):
         raise DataError(
-            f"{place}: the direct sound lies {(n - peak) / rate:.2f} s before the start of "
-            "the recording. Start the recording before the sweep; check also that sweep "
-            "and recording are not exchanged"
+            f"{place}: the direct sound lies {(n - peak) / rate:.2f} s before the start of the "
+            f"recording. Start the recording before the sweep. {_EXCHANGED}"
         )
     left = len(recorded) - len(played) - peak
     if left < _LEAST_TAIL * rate:
         raise DataError(
-            f"{place}: the recording ends {max(left, 0) / rate:.2f} s after the end of the "
-            "sweep, before the room has decayed. Record until the reverberation has "
-            "ended"
+            f"{place}: the recording ends {max(left, 0) / rate:.2f} s after the end of the sweep, "
+            "before the room has decayed. Record for longer"
         )
     return response[max(peak - int(_BEFORE * rate), 0) : peak + left]
 
 
-def _sides(rate: float) -> list[tuple[int, int]]:
-    """Return the ends, in samples after the peak, of what `_CAUSAL` compares."""
-    early, half = int(_BEFORE * rate), int(0.5 * rate)
-    return [(-early - half, -early), (-early, half)]
+_EXCHANGED = "Check that this sweep was played, and that it and the recording are not exchanged"
 
 
 def _onsets_apart(response: Array, rate: float, ends: tuple[float, float]) -> float:
@@ -357,9 +347,8 @@ def interrupted(
                 of_band += made
             if unsteady > _MOST_UNSTEADY * len(stops) * len(centres):
                 raise DataError(
-                    f"{recording.place}: in most bands the sound before its stop is not "
-                    "steady noise. For a recorded sweep give --sweep instead of "
-                    "--interrupted; for an impulse response leave --interrupted out"
+                    f"{recording.place}: in most bands the sound before its stop is not steady "
+                    f"noise. {_NOT_INTERRUPTED}"
                 )
             if progress is not None:
                 progress()
@@ -398,6 +387,9 @@ def _spread(each: Sequence[Mapping[str, float]], parameters: Iterable[str]) -> l
     return (values.std(axis=1, ddof=1) / np.sqrt(n)).tolist() if n > 1 else [np.nan] * len(values)
 
 
+_NOT_INTERRUPTED = "For a recorded sweep give --sweep instead of --interrupted, else neither"
+
+
 def stops_of(samples: Array, rate: float, place: str) -> list[Stop]:
     """Return the stops of a steady noise; DataError for a recording without one."""
     size = max(int(_BLOCK * rate), 1)
@@ -421,10 +413,8 @@ def stops_of(samples: Array, rate: float, place: str) -> list[Stop]:
     ]
     if not stops or level <= 0:
         raise DataError(
-            f"{place}: no noise was found that is steady for {_LEAST_ON:g} s and then "
-            f"stops and falls by {10 * np.log10(_LEAST_FALL):.0f} dB. For a recorded "
-            "sweep give --sweep instead of --interrupted; for an impulse response leave "
-            "--interrupted out"
+            f"{place}: no noise was found that is steady for {_LEAST_ON:g} s and then stops and falls "
+            f"by {10 * np.log10(_LEAST_FALL):.0f} dB. {_NOT_INTERRUPTED}"
         )
     return stops
 

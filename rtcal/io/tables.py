@@ -244,9 +244,8 @@ def parse(
     place, own = found[0].place, {*read.measurement.values} - {stated.parameter}
     if stated.parameter is not None and own and not any(table.parameter for table in found):
         raise DataError(
-            f'{place}: parameter="{stated.parameter}" is given, but the table names its '
-            f"own parameters ({', '.join(map(parameter_label, own))}). Leave this option "
-            "out"
+            f'{place}: parameter="{stated.parameter}" is given, but the table names its own '
+            f"parameters ({', '.join(map(parameter_label, own))}). Leave this option out"
         )
     if stated.decay_time is not None and not any(table.was_open for table in found):
         raise DataError(
@@ -319,19 +318,7 @@ def _of_file(content: bytes, path: str, options: _Options) -> tuple[list[_Table]
     chosen = [s for s in of_file if s.name in options.sheets]
     if not options.sheets:
         chosen = [s for s in of_file if _header(s.rows, ())[1] > 1] or of_file
-    tables: list[_Table] = []
-    errors = []
-    for sheet in chosen:
-        try:
-            tables.append((_stated_table if options.columns else _table)(sheet, options))
-        except DataError as error:
-            errors.append(error)
-    if errors:
-        names = dict.fromkeys(table.sheet.name for table in tables if table.sheet.name)
-        only = " or ".join(f'sheets="{shown(name)}"' for name in names)
-        raise DataError(
-            f"{errors[0]}. To read only the other sheets, use {only}" if only else str(errors[0])
-        )
+    tables = [(_stated_table if options.columns else _table)(sheet, options) for sheet in chosen]
     left_out = [f'"{shown(s.name)}"' for s in of_file if s not in chosen]
     if options.sheets or not left_out:
         return tables, []
@@ -347,9 +334,8 @@ def _of_places(found: list[_Table]) -> tuple[list[_Table], list[str]]:
     for table, name in named:
         if statistic_of(name) == DOUBTFUL:
             raise DataError(
-                f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position. '
-                "If it is a position, give it another name, such as R7; otherwise leave "
-                "it out"
+                f'{table.sheet.place}: "{shown(name)}" may be a statistic or a position. If it is a '
+                "position, give it another name, such as R7; otherwise leave it out"
             )
     left_out = dict.fromkeys(name for _, name in named if statistic_of(name) is not None)
     return kept, [
@@ -396,9 +382,8 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
     found = columns_of(header, options.where)
     if _has_split_decimals(found, header, body, sheet.separator):
         raise DataError(
-            f"{place}: the comma probably stands both for the decimal point and between "
-            "cells, so that 1,62 would be read as two cells. Save the table with "
-            "semicolons or tabs between columns, or with decimal points"
+            f"{place}: the comma probably stands both for the decimal point and between cells. "
+            "Save the table with semicolons or tabs between columns, or with decimal points"
         )
     for k, column in enumerate(found):
         cells = [row[k] for _, row in body if len(row) > k and row[k]]
@@ -918,10 +903,8 @@ class _Table:
         key = self._closed(named, place)
         if stated not in (None, key):
             raise DataError(
-                f'{place}: parameter="{stated}" is given, but the '
-                "table's name "
-                f'"{shown(self.sheet.name)}" means {parameter_label(key)}. Leave this '
-                "option out, or rename the table"
+                f'{place}: parameter="{stated}" is given, but the table\'s name '
+                f'"{shown(self.sheet.name)}" means {parameter_label(key)}. Leave this option out'
             )
         return replace(named, parameter=key)
 
@@ -947,9 +930,8 @@ class _Table:
         if not all(both):
             line, name = rows[both.index(False)]
             raise DataError(
-                f'{self.sheet.place}, line {line}: "{shown(name)}" does not name a source '
-                f'and a receiver as "{shown(first)}" does. If it is a position, name '
-                "both; otherwise delete the row"
+                f'{self.sheet.place}, line {line}: "{shown(name)}" does not name a source and a '
+                f'receiver as "{shown(first)}" does. Name both, or delete the row'
             )
         return first
 
@@ -1051,9 +1033,8 @@ class _Table:
         for name in statistics:
             if values and statistic_of(name) == DOUBTFUL:
                 raise DataError(
-                    f'{place}: "{shown(name)}" may be a statistic, a remark or a position. '
-                    "If it is a position, give it another name, such as R7; otherwise "
-                    "delete the row"
+                    f'{place}: "{shown(name)}" may be a statistic, a remark or a position. If it is '
+                    "a position, give it another name, such as R7; otherwise delete the row"
                 )
         self.statistics[statistics[0]] = None
         return "" if receiver and receiver not in statistics else statistic_of(statistics[0])
@@ -1190,10 +1171,8 @@ def _values(tables: Sequence[_Table], options: _Options) -> tuple[Values, Values
                 of_file = other.place.split(", sheet")[0] == file and other.name != sheet.name
                 if of_file and not options.sheets:  # those that are named are meant together
                     raise DataError(
-                        f"{twice}, first in {other.place}. If each sheet has a parameter "
-                        "of its own, name the sheets after it in the workbook, such as "
-                        "T20, EDT and C80; or read one sheet alone with "
-                        f'sheets="{shown(other.name)}"'
+                        f"{twice}, first in {other.place}. Name each sheet after its parameter, such "
+                        f'as T20 and EDT, or read one alone with sheets="{shown(other.name)}"'
                     )
             given.setdefault(key, []).append(sheet)
             values = single if statistic is None else of_several

@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 from rtcal.support import checks
@@ -15,7 +16,6 @@ MAX_TEXT = 2**18
 """Largest size in bytes of a material list, a table or a mesh: twice ODEON's own library."""
 
 _BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8", b"\xff\xfe": "utf-16-le", b"\xfe\xff": "utf-16-be"}
-_UNMARKED = ("utf-8", "cp1252", "latin-1")
 _NAMES = {"cp1252": "Windows-1252", "latin-1": "ISO 8859-1"}
 _LINE = re.compile(r"([^\r\n]*)(\r\n|\r|\n|\Z)")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?\Z", re.ASCII)
@@ -59,17 +59,14 @@ def decode(content: bytes, path: str = "file") -> Text:
                 return Text(content[len(mark) :].decode(codec), codec, mark)
             except UnicodeDecodeError as error:
                 line = content.count(b"\n", 0, len(mark) + error.start) + 1
+                at = f"{path}, line {line}: byte {len(mark) + error.start}"
                 raise DataError(
-                    f"{path}, line {line}: byte {len(mark) + error.start} is not valid "
-                    f"{codec.upper()}, the encoding that the file's byte order mark gives; save "
-                    "the file as UTF-8"
+                    f"{at} is not valid {codec.upper()} (byte order mark); save the file as UTF-8"
                 ) from error
-    for codec in _UNMARKED[:-1]:
-        try:
+    for codec in ("utf-8", "cp1252"):
+        with suppress(UnicodeDecodeError):
             return Text(content.decode(codec), codec)
-        except UnicodeDecodeError:
-            continue
-    return Text(content.decode(_UNMARKED[-1]), _UNMARKED[-1])
+    return Text(content.decode("latin-1"), "latin-1")
 
 
 def lines(characters: str) -> Iterator[tuple[int, int, str]]:
