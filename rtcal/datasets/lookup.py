@@ -17,6 +17,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from typing import Any
 
 __all__ = ["Meaning", "Name", "meaning", "name_of", "table", "unstated", "words"]
@@ -181,10 +182,12 @@ def name_of(text: str) -> Name:
     >>> name_of("Plaster on brick").thing, name_of("plaster on brick").mounting
     (frozenset({'plaster'}), frozenset({'brick'}))
     """
-    read = _Reader()
-    for token in re.findall(r"\d+(?:mm|gsm)|[^\W\d_]{2,40}|[,;:()]", _plainly(text)):
-        read.token(token)
-    return read.name()
+    read, tokens = _Reader(), re.findall(r"\d+(?:mm|gsm)|[^\W\d_]{2,40}|[,;:()]", _plainly(text))
+    for before, token in pairwise(("", *tokens)):
+        read.token(token, is_covered=before in _listed("covered"))
+    last = "" if read.noun in read.foreign and read.noun_first else read.noun
+    thing, mounting, foreign = map(frozenset, (read.thing, read.mounting, read.foreign))
+    return Name(thing, mounting, read.stated or last, foreign)
 
 
 def _plainly(text: str) -> str:
@@ -206,24 +209,20 @@ class _Reader:
         self.noun = ""
         self._where = self.thing
         self._before = ""
-        self._of_noun, self._noun_first = True, False
-        self._stated, self._covered = "", False
+        self._of_noun, self.noun_first = True, False
+        self.stated = ""
 
-    def token(self, token: str) -> None:
-        """Read one word, thickness or mark."""
-        self._read(token)
-        self._covered = token in _listed("covered")
-
-    def _read(self, token: str) -> None:
+    def token(self, token: str, *, is_covered: bool) -> None:
+        """Read one word, thickness or mark; the word before may say that it covers the thing."""
         if token in ",;:()":
             self._of_noun = self._of_noun and not self.thing
             if token in "()" or self._where is not self.mounting:
                 self._where = self.thing
         elif token in _listed("without"):
             self._where = []
-        elif self._noun_first and token in _listed("of_noun_first"):
+        elif self.noun_first and token in _listed("of_noun_first"):
             self._before = token
-        elif token in _listed("before_surface") and self._covered:
+        elif token in _listed("before_surface") and is_covered:
             self.mounting += self.thing
             self.thing.clear()
             self._where, self._of_noun = self.thing, True
@@ -242,18 +241,12 @@ class _Reader:
         moved = self._where is self.mounting and (covers or {*words} & _listed("deciding"))
         (self.thing if moved else self._where).extend(words)
         self.foreign |= {foreign} - {""}
-        self._noun_first = self._noun_first or token in _noun_first()
-        if self._noun_first and self._before in _listed("of_noun_first"):
-            self._stated = self._stated or foreign
+        self.noun_first = self.noun_first or token in _noun_first()
+        if self.noun_first and self._before in _listed("of_noun_first"):
+            self.stated = self.stated or foreign
         if self._where is self.thing and self._of_noun:
             nouns = [word for word in words if word not in _passing()]
             self.noun = nouns[-1] if nouns else self.noun
-
-    def name(self) -> Name:
-        """Return the name that was read."""
-        last = "" if self.noun in self.foreign and self._noun_first else self.noun
-        noun = self._stated or last
-        return Name(frozenset(self.thing), frozenset(self.mounting), noun, frozenset(self.foreign))
 
 
 def _of_size(word: str) -> bool:

@@ -704,7 +704,13 @@ def _evaluated(
     reach = min(ratio - decayed.lost, decayed.reach)
     centre = float(curve.sum() / curve[0]) / rate  # of gravity, in s
     curve[0] += max(early - decayed.subtracted * early_samples, 0.0)
-    values = {**_energy_ratios(curve, rate), **times}
+    # A ratio is left out if its limit is after the end of the curve.
+    energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
+    others = [p for p in MINIMUM_RANGE if p not in slopes]
+    ratios = observables.parameters(energy, 1 / rate, others).items()
+    end = len(curve) / rate
+    held = {p: float(v) for p, v in ratios if end > OBSERVABLES[p].reaches and np.isfinite(v)}
+    values = {**held, **times}
     if LEVEL.key in needed:
         values[LEVEL.key] = float(10 * np.log10(curve[0] / rate))
     return OfEnergy(
@@ -885,18 +891,6 @@ def _line(energy: Array, rate: float, centre: float | None) -> tuple[float, floa
     crossing, t, noise = (float(np.ravel(x)[0]) for x in found)
     usable = np.isfinite([crossing, t, noise]).all() and t > 0 and noise > 0
     return (crossing * rate, t * rate, noise) if usable else None
-
-
-def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
-    """Return all but the decay times of a decay curve, which begins at the whole energy."""
-    energy = np.maximum(-np.diff(curve, append=0.0), 0.0)
-    others = [p for p in MINIMUM_RANGE if p not in of_kind(DecaySlope)]
-    values = observables.parameters(energy, 1 / rate, others)
-    return {
-        name: float(value)
-        for name, value in values.items()
-        if len(curve) / rate > OBSERVABLES[name].reaches and np.isfinite(value)
-    }
 
 
 def filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:

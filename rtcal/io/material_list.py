@@ -293,7 +293,8 @@ class MaterialList:
         there = {*self.names, *self.aliases}
         aliases = dict(self.aliases)
         for name in names:
-            alike = {self.listed(n).name for n in there if _spelling(n) == _spelling(name)}
+            spelt = name.replace("_", " ").split()
+            alike = {self.listed(n).name for n in there if n.replace("_", " ").split() == spelt}
             if name not in there and len(alike) == 1:
                 aliases[name] = alike.pop()
         return replace(self, aliases=aliases)
@@ -386,10 +387,6 @@ class MaterialList:
             position = end
         changed = "".join([*pieces, self.text.characters[position:]])
         return self.text.encode(changed), room_as_read, tuple(lacking)
-
-
-def _spelling(name: str) -> str:
-    return "_".join(name.replace("_", " ").split())
 
 
 def coefficient(value: float, unit: float) -> float:

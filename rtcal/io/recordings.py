@@ -307,14 +307,11 @@ def interrupted(
 
     Each recording may have several decays. All decays at a position are averaged, including those of
     repeats. The uncertainty is the larger of the standard error of this mean, by the decays' own T, and
-    the theoretical standard deviation of ISO 3382-2 for as many decays. Parameters are those
-    of `rtcal.io.impulse_responses.read`.
+    the theoretical standard deviation of ISO 3382-2 for as many decays.
 
     ``path``, ``bands``, ``channels``, ``minimum_range``, ``repeats`` and ``progress`` are those of
-    `rtcal.io.impulse_responses.read`, with the same defaults.
-
-    Raises DataError for files that cannot be read, and for a recording without a steady noise that
-    stops.
+    `rtcal.io.impulse_responses.read`. Raises DataError for files that cannot be read, and for a
+    recording without a steady noise that stops.
     """
     ir.libraries()
     doubts = list[str]()
@@ -329,9 +326,8 @@ def interrupted(
         rate = members[0].sampling_rate
         if other := next((m for m in members if m.sampling_rate != rate), None):
             raise DataError(
-                f"{other.place}: the sampling rate is {other.sampling_rate:g} Hz, but that "
-                f"of {members[0].place}, at the same position, is {rate:g} Hz. Convert "
-                "one of them"
+                f"{other.place}: the sampling rate is {other.sampling_rate:g} Hz, but that of "
+                f"{members[0].place}, at the same position, is {rate:g} Hz. Convert one of them"
             )
         curves: list[list[Array]] = [[] for _ in centres]
         for recording in members:
