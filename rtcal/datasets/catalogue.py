@@ -94,11 +94,11 @@ def material(
         has = ", ".join(bands.labels(by_band))
         raise DataError(f'"{name}" has no value at {bands.label(lacking[0])}; it has {has}')
     alpha = np.array([by_band[frequency] for frequency in f])
-    sigma = [
+    between = [
         sigma_iso_12999_2(np.array([a]), np.array([min(frequency, 4000.0)]))[0]
         for a, frequency in zip(alpha, f, strict=True)
     ]
-    sigma = SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * np.array(sigma)
+    sigma = SigmaRule(in_situ_factor=in_situ_factor).in_situ_factor * np.array(between)
     if entry.sigma is not None:
         sigma = np.full(len(f), entry.sigma)
     return Material(name=name, alpha=alpha.tolist(), sigma=sigma.tolist(), source=entry.source)

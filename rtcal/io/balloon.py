@@ -77,8 +77,8 @@ def read(
     least = float(made.gains[:, 0].mean(axis=1).min())
     if least < 10 ** (-_LEAST_INDEX / 10):
         raise DataError(
-            f"{place}: the energy on the axis is only {least:.2g} times the mean over the sphere. "
-            "Check the orientation of the balloon in the file"
+            f"{place}: the source does not radiate along the file's axis, where its energy is only "
+            f"{least:.2g} times the mean. Check the orientation of the balloon in the file"
         )
     return made
 

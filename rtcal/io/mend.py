@@ -1422,8 +1422,8 @@ def _room_of(
         if part.is_plane and not is_in:
             # Whether an edge is in the room, and not merely at its walls.
             ends = mend.points[[edge for corners in part.loops for edge in edges_of(corners)]]
-            shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
-            points = (ends[:, 0] + shares * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
+            along = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
+            points = (ends[:, 0] + along * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
             reaches = not _at_walls(hull, points[hull.contains(points)], mend.weld)
             kind = "partly outside" if reaches else "outside"
             shares = zip(part.materials, (reaches * ANY_SHARE * part.areas).tolist(), strict=True)

@@ -551,8 +551,6 @@ def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
         for k in range(width)
     ]
     columns = [_named_together(of_column) for of_column in labels]
-    if not any(c and c.has_values for c in columns):
-        columns = [_named_together(of_column, of_means=True) for of_column in labels]
     known = [column for column in columns if column]
     for k in (k for k in range(1 - bool(labels[0]), width) if columns[k] is None):
         columns[k] = _of_cells(labels[k][-1][0] if labels[k] else "", cells[k], known)
@@ -570,11 +568,6 @@ def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
             numbers = [float(c.replace(",", ".")) for c in cells[k] if _PLAIN_NUMBER.fullmatch(c)]
             if any(not _is_accepted(column.parameter, number) for number in numbers):
                 columns[k] = replace(column, unit="?")
-    if any(c and c.receiver for c in columns):
-        for k, column in enumerate(columns):
-            is_mean = any(statistic_of(text) not in (None, DOUBTFUL) for text, _ in labels[k])
-            if column and column.has_values and not column.receiver and is_mean:
-                columns[k] = Column("", column.header)
     lines = f"{body[0][0]} to {body[-1][0]}"
     text = columns_text(lines, _meanings(columns, options))
     stated = replace(options, columns=text.partition('"')[2][:-1])
@@ -622,8 +615,7 @@ def _is_number(cell: str) -> bool:
 
 def _are_values(cells: Sequence[str], above: Sequence[Sequence[str]]) -> bool:
     """Return whether a row has values below some headers: numbers that are no bands of theirs."""
-    of_band = _is_number(cells[0])
-    numbers = [c for c in cells[1:] if _is_number(c) or (of_band and c and is_missing(c))]
+    numbers = [c for c in cells[1:] if _is_number(c)]
     texts = [cell for cell in cells if not BARE_NUMBER.fullmatch(cell)]
     if not above and (named := [column for column in map(column_of, texts) if column]):
         in_khz = any(name_and_unit(cell)[1].lower() == "khz" for cell in texts)
@@ -649,17 +641,13 @@ def _last_of(body: Sequence[Row]) -> int:
     """Return the number of the last row of a table: with as many cells, and a band, as its first."""
     width, of_band = len(body[0][1]), frequency_of(body[0][1][0])
     for i, (_, cells) in enumerate(body):
-        if i and [cell for cell in cells if cell] == cells[:1] and _name_of(cells[0]):
-            return i - 1  # the title of another table
         has_band = not of_band or frequency_of(cells[0]) or plain(cells[0]) in WHOLE_RANGES
         if sum(map(bool, cells)) > 1 and not (has_band and len(cells) >= width):
             return max(i - 1, 0)
     return len(body) - 1
 
 
-def _named_together(
-    labels: Sequence[tuple[str, Column | None]], *, of_means: bool = False
-) -> Column | None:
+def _named_together(labels: Sequence[tuple[str, Column | None]]) -> Column | None:
     """Return the column that headers above each other name, each with its own column if it is known."""
     texts = [text for text, _ in labels]
     if beside := [c for _, c in labels if c and not c.has_values]:
@@ -677,8 +665,6 @@ def _named_together(
         band = next((w for w in words if (frequency_of(w) or 0) >= LEAST_BAND), "")
         column = column or column_of(f"{parameter} {band}".strip())
         place = "" if band else " ".join(word for word in words if word != parameter)
-        if of_means and statistic_of(place) == "value":
-            place = ""
         if statistic_of(place) is not None:
             return Column("", text)
         places += [text] if column and column.receiver else [place] if place else []
