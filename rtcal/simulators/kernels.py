@@ -57,36 +57,83 @@ def hit(order: Any, begins: Any, plane: Any, sides: Array, x: float, y: float, z
 
 
 @compiled(reorder=False, inner=True)
-def distances(rays: Array, n: int, planes: Array, k: int, out: Array, row: int) -> None:
-    """Write to a row the distance of each ray to a plane, infinite from behind or parallel to it."""
-    a, b, c, offset = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
+def to_planes(rays: Array, n: int, planes: Array, out: Array, least: Array, row_of: Any) -> None:
+    """Write the distance of each ray to each plane, the least of a ray's, and the row that has it.
+
+    The distance is infinite from behind or parallel to a plane.
+    """
     for j in range(n):
-        approach = -(a * rays[3, j] + b * rays[4, j] + c * rays[5, j])
-        t = (a * rays[0, j] + b * rays[1, j] + c * rays[2, j] - offset) / approach
-        out[row, j] = t if (approach > 0.0) & (t >= -1e-9) else np.inf
-
-
-@compiled(reorder=False, inner=True)
-def passages(rays: Array, n: int, centres: Array, r: int, square: float, out: Array) -> None:
-    """Write to a receiver's row where each ray is nearest to it, infinite where it does not pass it."""
-    a, b, c = centres[r, 0], centres[r, 1], centres[r, 2]
-    for j in range(n):
-        x, y, z = a - rays[0, j], b - rays[1, j], c - rays[2, j]
-        along = x * rays[3, j] + y * rays[4, j] + z * rays[5, j]
-        near = x * x + y * y + z * z - along * along < square
-        out[r, j] = along if near & (along > 0.0) else np.inf
-
-
-@compiled(reorder=False, inner=True)
-def first_of(rows: Array, n: int, least: Array, row_of: Any) -> None:
-    """Write the least value of each of ``n`` columns, and the first row that has it."""
-    for j in range(n):
-        least[j], row_of[j] = rows[0, j], 0
-    for row in range(1, len(rows)):
+        least[j], row_of[j] = np.inf, 0
+    for k in range(len(planes)):
+        a, b, c, offset = planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3]
         for j in range(n):
-            less = rows[row, j] < least[j]
-            least[j] = rows[row, j] if less else least[j]
-            row_of[j] = row if less else row_of[j]
+            approach = -(a * rays[3, j] + b * rays[4, j] + c * rays[5, j])
+            t = (a * rays[0, j] + b * rays[1, j] + c * rays[2, j] - offset) / approach
+            t = t if (approach > 0.0) & (t >= -1e-9) else np.inf
+            out[k, j] = t
+            less = t < least[j]
+            least[j] = t if less else least[j]
+            row_of[j] = k if less else row_of[j]
+
+
+@compiled(reorder=False, inner=True)
+def to_receivers(rays: Array, n: int, spheres: Array, out: Array, least: Array) -> None:
+    """Write where each ray is nearest to each receiver, and the least of these distances of a ray.
+
+    The distance is infinite to a receiver that the ray does not pass. ``spheres`` (n_receivers, 4) are
+    the receivers' centres and the squares of their radii.
+    """
+    for j in range(n):
+        least[j] = np.inf
+    for r in range(len(spheres)):
+        a, b, c, square = spheres[r, 0], spheres[r, 1], spheres[r, 2], spheres[r, 3]
+        for j in range(n):
+            x, y, z = a - rays[0, j], b - rays[1, j], c - rays[2, j]
+            along = x * rays[3, j] + y * rays[4, j] + z * rays[5, j]
+            near = x * x + y * y + z * z - along * along < square
+            along = along if near & (along > 0.0) else np.inf
+            out[r, j] = along
+            least[j] = along if along < least[j] else least[j]
+
+
+@compiled(reorder=False, inner=True)
+def draw(states: Any, n: int, out: Array) -> None:
+    """Write a random number for each state, and a random point of the unit sphere.
+
+    The point's three rows are its distance from the vertical axis, its angle, and its height.
+    """
+    for j in range(n):
+        out[0, j] = uniform(states[j], _ONCE)
+        up = 1.0 - 2.0 * uniform(states[j], _TWICE)
+        flat = 1.0 - up * up
+        round_ = math.sqrt(flat if flat > 0.0 else 0.0)
+        out[1, j], out[3, j] = round_, up
+        out[2, j] = 2.0 * math.pi * uniform(states[j], _THRICE)
+
+
+@compiled(reorder=False, inner=True)
+def reflect(rays: Array, n: int, hits: Array, drawn: Array) -> None:
+    """Move rays to the points that they hit, and reflect them there.
+
+    ``hits`` (6, n) are the distances, the walls' normals, and the parts of the specular and of the
+    scattered direction in the new one. The scattered direction is that of the normal plus a random
+    point of the unit sphere, which follows Lambert's law; ``drawn`` has the point in its last rows.
+    """
+    for j in range(n):
+        t, nx, ny, nz = hits[0, j], hits[1, j], hits[2, j], hits[3, j]
+        specular, diffuse = hits[4, j], hits[5, j]
+        vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
+        rays[0, j] += t * vx
+        rays[1, j] += t * vy
+        rays[2, j] += t * vz
+        across = 2.0 * (vx * nx + vy * ny + vz * nz)
+        lx, ly, lz = nx + drawn[1, j], ny + drawn[2, j], nz + drawn[3, j]
+        share = diffuse / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
+        vx = share * lx + specular * (vx - across * nx)
+        vy = share * ly + specular * (vy - across * ny)
+        vz = share * lz + specular * (vz - across * nz)
+        norm = math.sqrt(vx * vx + vy * vy + vz * vz)
+        rays[3, j], rays[4, j], rays[5, j] = vx / norm, vy / norm, vz / norm
 
 
 @compiled(reorder=False)
@@ -143,26 +190,34 @@ def trace(
     """
     # Arrays are made here: making one in the compiled function takes numba a tenth of a second.
     n_paths, n_receivers, n_planes = len(directions), len(receivers), len(begins) - 1
+    first_planes = planes[order[begins[:-1]]]
+    spheres = np.column_stack([receivers, radii**2])
     lanes = max(_DISTANCES // n_planes, 16)
     events = np.empty(64 * n_paths, np.uint16), np.empty(64 * n_paths, np.int32)
     heard = np.empty(4 * n_paths, np.float32), np.empty(4 * n_paths, np.float32)
-    walls = planes, order, begins, sides, owners, scattering
-    state = (
+    walls = planes, order, begins, sides, owners, scattering, first_planes
+    of_rays = (
         np.empty((6, lanes)),
-        np.empty((n_planes, lanes)),
-        np.empty((n_receivers, lanes)),
         np.empty((2, lanes)),
-        np.empty((2, lanes)),
-        np.empty((2, lanes), np.int64),
         np.empty(lanes, np.uint64),
         np.empty(lanes, np.int32),
         np.empty(lanes, np.bool_),
     )
+    of_step = (
+        np.empty((n_planes, lanes)),
+        np.empty((n_receivers, lanes)),
+        np.empty((2, lanes)),
+        np.empty(lanes, np.int64),
+        np.zeros((6, lanes)),
+        np.empty((4, lanes)),
+        np.empty(lanes, np.int64),
+    )
+    state = of_rays, of_step
     lost, number = np.zeros(n_paths, np.bool_), np.zeros((2, n_paths), np.int64)
     counts, at = np.zeros(4), np.zeros(4, np.int64)
     of_paths = origin, directions, seeds, longest, thinned, shares
     while not _advance(
-        of_paths, walls, vector, receivers, radii, state, events, heard, lost, number, counts, at
+        of_paths, walls, vector, spheres, state, events, heard, lost, number, counts, at
     ):
         events = tuple(_grown(of, at[2] + lanes * (n_receivers + 1)) for of in events)
         heard = tuple(_grown(of, at[3] + lanes * n_receivers) for of in heard)
@@ -192,8 +247,7 @@ def _advance(
     of_paths: Any,
     walls: Any,
     vector: bool,
-    receivers: Array,
-    radii: Array,
+    spheres: Array,
     state: Any,
     events: Any,
     heard: Any,
@@ -209,20 +263,21 @@ def _advance(
     ended, events, and receptions.
     """
     origin, directions, seeds, longest, thinned, shares = of_paths
-    planes, order, begins, sides, owners, scattering = walls
-    rays, to_planes, to_receivers, along_path, first, row_of, states, paths, diffuse = state
+    planes, order, begins, sides, owners, scattering, first_planes = walls
+    (rays, along_path, states, paths, diffuse), of_step = state
+    at_planes, at_receivers, first, row_of, hits, drawn, ended = of_step
     codes, of_path = events
     lengths, weights = heard
-    n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
+    n_paths, n_receivers, n_faces = len(directions), len(spheres), len(scattering)
     n_planes, lanes, n_shares = len(begins) - 1, len(paths), len(shares)
     begun, n, n_events, n_heard = at[0], at[1], at[2], at[3]
     while n > 0 or begun < n_paths:
-        if n == 0:
-            n = n_paths - begun
-            if n > lanes:
-                n = lanes
-            for j in range(n):
-                path = begun + j
+        # New rays begin where half have ended: loops over few rays take longer for each.
+        if 2 * n < lanes and begun < n_paths:
+            more = min(lanes - n, n_paths - begun)
+            for j in range(n, n + more):
+                path = begun
+                begun += 1
                 paths[j] = path
                 for axis in range(3):
                     rays[axis, j], rays[3 + axis, j] = origin[axis], directions[path, axis]
@@ -233,38 +288,36 @@ def _advance(
                         if stage * thinned < longest:
                             along_path[1, j] = stage * thinned
                         break
-            begun += n
+            n += more
         if n_events + n * (n_receivers + 1) > len(codes) or n_heard + n * n_receivers > len(
             lengths
         ):
             at[0], at[1], at[2], at[3] = begun, n, n_events, n_heard
             return False
-        for plane in range(n_planes):
-            distances(rays, n, planes, order[begins[plane]], to_planes, plane)
-        for r in range(n_receivers):
-            passages(rays, n, receivers, r, radii[r] * radii[r], to_receivers)
-        first_of(to_planes, n, first[0], row_of[0])
-        first_of(to_receivers, n, first[1], row_of[1])
-        on = 0  # paths that go on, in the first lanes
+        to_planes(rays, n, first_planes, at_planes, first[0], row_of)
+        to_receivers(rays, n, spheres, at_receivers, first[1])
+        draw(states, n, drawn)
+        n_ended = 0
         for j in range(n):
             path, end = paths[j], along_path[1, j]
             px, py, pz = rays[0, j], rays[1, j], rays[2, j]
             vx, vy, vz = rays[3, j], rays[4, j], rays[5, j]
-            t, nearest = first[0, j], row_of[0, j]
+            t, nearest = first[0, j], row_of[j]
             # In a convex room the nearest plane is hit; in others the nearest that holds the point.
             triangle = hit(order, begins, nearest, sides, px + t * vx, py + t * vy, pz + t * vz)
-            if triangle < 0:
+            while triangle < 0 and t < np.inf:
+                at_planes[nearest, j] = np.inf
                 t = np.inf
-                for other in range(n_planes):
-                    to = to_planes[other, j]
-                    if to < t:
-                        x, y, z = px + to * vx, py + to * vy, pz + to * vz
-                        found = hit(order, begins, other, sides, x, y, z)
-                        if found >= 0:
-                            triangle, t = found, to
+                for plane in range(n_planes):
+                    nearer = at_planes[plane, j] < t
+                    t = at_planes[plane, j] if nearer else t
+                    nearest = plane if nearer else nearest
+                triangle = hit(order, begins, nearest, sides, px + t * vx, py + t * vy, pz + t * vz)
             if triangle < 0:
                 lost[path] = True
                 counts[0] += 1
+                ended[n_ended] = j
+                n_ended += 1
                 continue
             travelled = along_path[0, j]
             if travelled > 0.0:
@@ -272,7 +325,7 @@ def _advance(
                 counts[2] += t
                 counts[3] += t * t
                 for r in range(n_receivers if first[1, j] < t else 0):
-                    along, square = to_receivers[r, j], radii[r] * radii[r]
+                    along, square = at_receivers[r, j], spheres[r, 3]
                     length = travelled + along
                     if along < t and length < end:
                         stage = int(length / thinned)
@@ -290,40 +343,35 @@ def _advance(
                         n_heard += 1
             length = travelled + t
             if length >= end:
+                ended[n_ended] = j
+                n_ended += 1
                 continue
-            face, seed = owners[triangle], states[j]
+            face = owners[triangle]
             s = scattering[face]
-            nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
-            across = vx * nx + vy * ny + vz * nz
-            px, py, pz = px + t * vx, py + t * vy, pz + t * vz
-            vx, vy, vz = vx - 2 * across * nx, vy - 2 * across * ny, vz - 2 * across * nz
-            spread = s > 0.0 if vector else uniform(seed, _ONCE) < s
-            if spread:
-                # The normal plus a random point of the unit sphere follows Lambert's law.
-                up = 1.0 - 2.0 * uniform(seed, _TWICE)
-                round_angle = 2.0 * math.pi * uniform(seed, _THRICE)
-                flat = 1.0 - up * up
-                round_ = math.sqrt(flat if flat > 0.0 else 0.0)
-                lx = nx + round_ * math.cos(round_angle)
-                ly = ny + round_ * math.sin(round_angle)
-                lz = nz + up
-                share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
-                specular = 1.0 - s if vector else 0.0
-                vx = share * lx + specular * vx
-                vy = share * ly + specular * vy
-                vz = share * lz + specular * vz
-            norm = math.sqrt(vx * vx + vy * vy + vz * vz)
+            spread = s > 0.0 if vector else drawn[0, j] < s
+            hits[0, j] = t
+            for axis in range(3):
+                hits[1 + axis, j] = planes[triangle, axis]
+            if spread:  # sine and cosine take longer than all else that is drawn
+                round_, angle = drawn[1, j], drawn[2, j]
+                drawn[1, j], drawn[2, j] = round_ * math.cos(angle), round_ * math.sin(angle)
+            part = s if vector else (1.0 if spread else 0.0)
+            hits[4, j], hits[5, j] = 1.0 - part, part
             codes[n_events] = n_faces + face if spread and not vector else face
             of_path[n_events] = path
             number[0, path] += 1
             n_events += 1
-            rays[0, on], rays[1, on], rays[2, on] = px, py, pz
-            rays[3, on], rays[4, on], rays[5, on] = vx / norm, vy / norm, vz / norm
-            along_path[0, on], along_path[1, on], paths[on] = length, end, path
-            states[on] = seed + _THRICE * _GOLDEN
-            diffuse[on] = diffuse[j] or spread
-            on += 1
-        n = on
+            along_path[0, j] = length
+            states[j] += _THRICE * _GOLDEN
+            diffuse[j] |= spread
+        reflect(rays, n, hits, drawn)
+        for last in range(n_ended, 0, -1):  # the last ray takes the place of one that ended
+            j = ended[last - 1]
+            n -= 1
+            for row in range(6):
+                rays[row, j] = rays[row, n]
+            along_path[0, j], along_path[1, j] = along_path[0, n], along_path[1, n]
+            states[j], paths[j], diffuse[j] = states[n], paths[n], diffuse[n]
     at[0], at[1], at[2], at[3] = begun, n, n_events, n_heard
     return True
 
