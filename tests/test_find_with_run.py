@@ -433,11 +433,41 @@ def test_instructions_are_in_the_terms_of_the_program(absorber, tmp_path):
     _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
     text = files[tmp_path / "instructions.txt"].decode()
     assert re.search(r"^opening, 3\d\d\.\d\d m² +0\.6", text, re.M)
+    listed = files[tmp_path / "catt.txt"].decode()
+    (new,) = re.findall(r"^walls, new +(.*)$", text, re.M)
+    (of_list,) = re.findall(r"^ABS walls = <(.*)>", listed, re.M)
+    np.testing.assert_allclose(
+        [*map(float, of_list.split())], 100 * np.array(new.split(), float), atol=0.06
+    )
     old = next(line for line in text.splitlines() if line.startswith("walls, old"))
     assert [float(v) for v in old.split()[2:]] == [0.05] * 6
     bare = replace(absorber.case.configurations[0], simulated=None)
     without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
     assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]
+
+
+def test_a_hint_is_added_and_verified_only_where_it_is_chosen(absorber, tmp_path):
+    hint, name = replace(absorber, verdict="hint", family=None, named=()), absorber.names[0]
+    said, _, files = of_finding.correct(hint, tmp_path)
+    assert not files
+    assert "--effect NAME" in said
+    with pytest.raises(DataError, match="verdict"):
+        hint.apply()
+    said, _, files = of_finding.correct(hint, tmp_path, effect=name)
+    assert tmp_path / "room.toml" in files
+    assert "only a weak indication" in said
+    again = verify(hint, simulated=run_of(absorber, effect=True, off=1.0), effect=name)
+    assert again.verdict != "supported"
+
+
+def test_a_second_run_that_is_nearer_as_simulated_is_not_withdrawn(absorber):
+    """Calibrated by the equation it is farther, which may be the equation's error."""
+    made = verify(absorber, simulated=absorber.case.configurations[0].measured)
+    gaps = np.broadcast_to(np.array([4.0, 4.0, 7.0])[:, None, None, None, None], made.gaps.shape)
+    for off, verdict in ((2.0, "unproven"), (5.0, "withdrawn")):
+        seen = replace(made, gaps=gaps, again=np.full(made.again.shape, off))
+        assert seen.verdict == verdict
+        assert ("may be wrong. Calibrate your program" in sentence(seen)) == (verdict == "unproven")
 
 
 def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber):

@@ -226,6 +226,15 @@ def test_a_deviation_that_the_coefficients_explain_is_not_the_programs() -> None
         assert found.explained["c80"].tolist() == [explained, False]
 
 
+def test_what_follows_from_a_time_beyond_sigma_is_not_explained_by_coefficients() -> None:
+    times = {"t20": [1.0, 1.0], "edt": [1.0, 1.0]}
+    run = rt.Measurement.from_values(F, t20=[2.0, 1.1], edt=[2.0, 1.1])
+    room = box(sigma=0.1 * np.array([[0.1, 0.1], [0.2, 0.3]]))
+    found = rt.compare(room, rt.Measurement.from_values(F, **times), rt.Run(room, run))
+    for each in found.explained.values():
+        assert each.tolist() == [False, True]
+
+
 def test_without_a_run_the_equation_is_compared() -> None:
     measured = rt.Measurement.from_values(F, t20=1.5 * rt.Sabine().reverberation_time(box()))
     found = rt.compare(box(), measured, equation=rt.Sabine())

@@ -169,15 +169,8 @@ class Comparison(Result):
         return np.asarray(np.fmax(spread, _in_jnd(np.sqrt(iso), mean, kind)))
 
     @cached_property
-    def coefficients(self) -> dict[str, Array]:
-        """Deviation that errors of the coefficients can cause, in JND: mean and standard deviation.
-
-        They are an array (2, n_bands) by parameter. The errors are the sigma of the run's coefficients
-        and errors that all coefficients have in common (`rtcal.acoustics.room_errors`); the equation
-        gives the change of T that they cause. The mean is 0 for T20, or for T30 if T20 is not compared.
-        Other parameters change with T as in an exponential decay, so that the deviation of T gives
-        their mean. Both are 0 for a calibrated room, whose coefficients were chosen for T.
-        """
+    def _prior(self) -> Array:
+        """Standard deviation of T in JND by errors of the coefficients, (n_bands,)."""
         room, n = self.run.room, self.run.room.n_bands
         own_covariance = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
         common = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
@@ -189,6 +182,30 @@ class Comparison(Result):
         with np.errstate(all="ignore"):
             slope = times * self.equation.target_sensitivity(room, times)
             prior = np.nan_to_num(np.abs(area / slope)) / REVERBERATION[0].jnd  # of T, in JND
+        return np.asarray(prior)
+
+    @cached_property
+    def _per_jnd_of_time(self) -> dict[str, Array]:
+        """Change of each parameter in JND with one JND of T in an exponential decay, (n_bands,)."""
+        times, found = self.equation.reverberation_time(self.run.room), {}
+        for p in self.parameters:
+            kind, values = OBSERVABLES[p], self.sides[1].mean(p)
+            by_log_time = np.array([_by_log_time(kind, t) for t in times])
+            off = _in_jnd(kind.of_value(by_log_time, values), values, kind)
+            found[p] = off * REVERBERATION[0].jnd
+        return found
+
+    @cached_property
+    def coefficients(self) -> dict[str, Array]:
+        """Deviation that errors of the coefficients can cause, in JND: mean and standard deviation.
+
+        They are an array (2, n_bands) by parameter. The errors are the sigma of the run's coefficients
+        and errors that all coefficients have in common (`rtcal.acoustics.room_errors`); the equation
+        gives the change of T that they cause. The mean is 0 for T20, or for T30 if T20 is not compared.
+        Other parameters change with T as in an exponential decay, so that the deviation of T gives
+        their mean. Both are 0 for a calibrated room, whose coefficients were chosen for T.
+        """
+        prior, n = self._prior, self.run.room.n_bands
         mean, left, own = np.zeros_like(prior), prior, [""] * n
         for o in reversed(REVERBERATION):
             if o.key in self.deviation:
@@ -201,11 +218,7 @@ class Comparison(Result):
                 own = [o.key if k else key for k, key in zip(known, own, strict=True)]
         found = {}
         for p in self.parameters:
-            kind, values = OBSERVABLES[p], self.sides[1].mean(p)
-            by_log_time = np.array([_by_log_time(kind, t) for t in times])
-            per_jnd = (
-                _in_jnd(kind.of_value(by_log_time, values), values, kind) * REVERBERATION[0].jnd
-            )
+            per_jnd = self._per_jnd_of_time[p]
             first = np.array([key in ("", p) for key in own])
             ends = np.where(first, [np.zeros_like(prior), prior], [mean, left])
             found[p] = np.nan_to_num(np.array([per_jnd, np.abs(per_jnd)]) * ends)
@@ -223,18 +236,20 @@ class Comparison(Result):
     def explained(self) -> dict[str, NDArray[np.bool_]]:
         """Whether errors of the coefficients explain a disagreement, (n_bands,) of bool by parameter.
 
-        They explain it if the deviation minus the mean that `coefficients` gives is within one JND or
-        twice its standard uncertainty.
+        They explain it if two deviations are within one JND or twice their standard uncertainty: the
+        whole one, by errors of the coefficients, and what is left of it beside the mean that
+        `coefficients` gives.
         """
-        return {
-            p: where
-            & (
-                np.abs(self.deviation[p] - self.coefficients[p][0])
-                <= np.fmax(NOTICED, LARGE_Z * np.hypot(self.known(p), self.coefficients[p][1]))
-            )
-            & (self.coefficients[p] != 0).any(axis=0)
-            for p, where in self.disagrees.items()
-        }
+        found = {}
+        for p, where in self.disagrees.items():
+            off, (mean, left) = self.deviation[p], self.coefficients[p]
+            whole = self._prior * np.nan_to_num(self._per_jnd_of_time[p])
+            within = [
+                np.abs(each) <= np.fmax(NOTICED, LARGE_Z * np.hypot(self.known(p), deviation))
+                for each, deviation in ((off, whole), (off - mean, left))
+            ]
+            found[p] = where & np.all(within, axis=0) & (self.coefficients[p] != 0).any(axis=0)
+        return found
 
     def known(self, parameter: str) -> Array:
         """Return the `uncertainty` of a parameter's mean deviation in JND, (n_bands,); 0 if unknown."""

@@ -473,18 +473,18 @@ def apply(args: Namespace) -> None:
 
     FOUND is the folder that `rtcal find --out` wrote. The most probable effect is added, or the most
     probable set of effects if you searched with --most 3. If its probability is below 0.3, you must
-    choose an effect by --effect. If nothing was detected (verdict none or hint), no effect can be
-    added: no file is written, and the exit code is 6.
+    choose an effect by --effect. If nothing was detected (verdict none or hint), only an effect that
+    you choose is added; without --effect no file is written, and the exit code is 6.
 
     room.toml is the room with the effect and the input coefficients: calibrate it before you use it. An
     absorber is an additional material, and the areas of your room stay the same. The volume is changed
     only if it was identified as wrong, with a probability of at least 0.9. case.json is the case with
     the effect, for `rtcal find`. The calibration with the effect is only printed.
 
-    With a geometry, room.obj is the mesh; catt.txt, odeon.txt and pyroomacoustics.json are lists of
-    materials. The effect is a patch in the middle of its surface, or about the point of --place. If the
-    most probable group of effects on one surface has a probability below 0.3, you must give --effect or
-    --place.
+    With a geometry, room.obj is the mesh. With a geometry, or with your program's result, catt.txt,
+    odeon.txt and pyroomacoustics.json are lists of materials. With a geometry, the effect is a patch in
+    the middle of its surface, or about the point of --place. If the most probable group of effects on
+    one surface has a probability below 0.3, you must give --effect or --place.
 
     If your program's result was given to `rtcal find`, instructions.txt lists what to change in the
     program's materials, what to draw, and what the program cannot contain.

@@ -201,16 +201,7 @@ class Corrected:
     @cached_property
     def _lists(self) -> dict[str, tuple[bytes, ExportReport]]:
         """The lists of materials for each program, and their reports, by file name."""
-        if self.added is None:
-            return {}
-        room = self._with_mesh(Path(MESH))
-        # Their writers fill in a list that exists; these are new ones.
-        with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
-            reports = {
-                name: of.write(room, Path(empty, name), missing_bands="nearest")
-                for name, of in LISTS.items()
-            }
-            return {n: (Path(empty, n).read_bytes(), r) for n, r in reports.items()}
+        return {} if self.added is None else material_lists(self._with_mesh(Path(MESH)))
 
     def __repr__(self) -> str:
         if isinstance(self.case, Case):
@@ -218,6 +209,17 @@ class Corrected:
         on = listed([f'"{name}"' for name in self.surfaces]) if self.surfaces else "all materials"
         what = "second state" if self.added is None else self.added.title
         return f"<Corrected room: {what} on {on}>"
+
+
+def material_lists(room: Room) -> dict[str, tuple[bytes, ExportReport]]:
+    """Return a room's list of materials for each program, and its report, by file name."""
+    # Their writers fill in a list that exists; these are new ones.
+    with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
+        reports = {
+            name: of.write(room, Path(empty, name), missing_bands="nearest")
+            for name, of in LISTS.items()
+        }
+        return {n: (Path(empty, n).read_bytes(), r) for n, r in reports.items()}
 
 
 # Means over positions.

@@ -436,7 +436,8 @@ class Finding(Result):
         (verdicts "family" and "ambiguous"). An error that all input coefficients have in common is
         corrected in alpha, and increases sigma. At positions, the most probable effect becomes a patch
         on its surface. For two states, the result is the room after the change. An effect with a
-        probability below 0.3 is added only if you name it as ``effect``.
+        probability below 0.3, or any where nothing was detected, is added only if you name it as
+        ``effect``.
 
         Parameters
         ----------
@@ -487,16 +488,17 @@ class Finding(Result):
             chosen = self.chosen(effect)
             added = [c for c in self.candidates if c.effect in chosen]
             return corrected_case(self.with_effects(added=added))
-        if self.refusal is not None:
+        chosen = self.kind == "positions" and not (at is None and effect is None)
+        every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
+        if self.refusal is not None and not (chosen and every):
             raise DataError(str(self.refusal))
         if self.kind == "states":
             kinds = [c.effect for c in self.candidates]
             return changed_room(self.case, self.area, self.change, self.identified_surfaces, kinds)
         best = self.likeliest
-        if at is None and effect is None and self.undecided is not None:
+        if not chosen and self.undecided is not None:
             raise DataError(str(self.undecided))
-        if best is None or not (at is None and effect is None):
-            every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
+        if best is None or chosen:
             if at is not None:
                 surface = surface_at(self.case, at)
                 every = [c for c in every if c.surface == surface]
@@ -518,7 +520,7 @@ class Finding(Result):
         ``effect`` is the name that you would give to `apply`; None means the most probable combination.
         Raises DataError as `apply` does.
         """
-        if not self.can_be_added:
+        if not self.can_be_added and (effect is None or not self.candidates):
             raise DataError(f'nothing was found that can be added (verdict "{self.verdict}")')
         found = self.candidate(effect)
         fitted = found is not None and (found.parameters or found.coefficients is not None)

@@ -159,8 +159,8 @@ SENTENCES: dict[str, str] = {
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: nothing is identified as missing.",
     "too weak to add": "Nothing to add: nothing was detected. {best:name} is only a weak indication "
-    "(verdict hint), which rtcal does not add even if you choose it. Measure more and search again: "
-    "`rtcal plan` proposes what.",
+    "(verdict hint). Measure more and search again: `rtcal plan` proposes what. If you know that it is "
+    "in the room, choose it by its name (`rtcal apply --effect NAME`).",
     "none of the library": "Nothing to add: no effect of the library explains what is missing "
     "(verdict unknown).",
     "no surface": "Nothing to add: the effect that was found is not on a surface.",
@@ -499,8 +499,7 @@ def _of_means(f: Finding) -> list[str]:
         return _nothing_missing(f)
     best = f"{title(f)} ({percent(f.probabilities.get(str(f.best_effect), 0.0))})"
     if f.verdict == "hint":
-        own = [str(reason) for reason in f.reasons if reason.code == OWN_FIELD]
-        return own or [_weak(f)]
+        return [str(reason) for reason in f.reasons if _leads(f, reason)] or [_weak(f)]
     if f.verdict == UNKNOWN:
         library = {effect.name for effect in checked_effects(None)}
         whole = library <= {*f.effects, *f.not_judged}
@@ -543,6 +542,11 @@ def _weak(f: Finding) -> str:
         "Nothing is identified: the most probable explanation is that nothing is missing "
         f"({percent(f.probabilities[NONE])}), and the most probable effect is {best}."
     )
+
+
+def _leads(f: Finding, reason: Reason) -> bool:
+    """Return whether a reason is the answer: the program's error, if no less likely than nothing."""
+    return reason.code == OWN_FIELD and reason.values["probability"] >= f.probabilities[NONE]
 
 
 def without_measuring(f: Finding) -> str:
@@ -797,7 +801,7 @@ def cautions(f: Finding) -> list[str]:
         t = measured.in_bands(room.centre_frequencies).reverberation_time
         typed += [doubt.sentence for doubt in marks.of_input(room, t)]
         typed += [*unusual(measured), *map(as_sentence, marks.given_twice(measured))]
-    said = [str(r) for r in f.reasons if r is not f.leading and r.code != OWN_FIELD]
+    said = [str(r) for r in f.reasons if r is not f.leading and not _leads(f, r)]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
     elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,12 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES, Room
 from rtcal.acoustics.run import Run
 from rtcal.files.saved import NUMBERS
-from rtcal.finder.apply import CASE, DRAWN_LARGER, ROOM, Corrected
+from rtcal.finder.apply import CASE, DRAWN_LARGER, ROOM, Corrected, material_lists
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification, residual_map
+from rtcal.io.material_list import ExportReport
 from rtcal.report import figures, of_comparison, room_view, verification_words
 from rtcal.report import finding_words as words
 from rtcal.report.document import (
@@ -336,10 +337,10 @@ def instructions(
         elif made.added is None:
             out.append(
                 Note(
-                    "It is drawn larger than the effect that was found, with lower coefficients, "
-                    "so that a calibration can make it absorb more or less. Its coefficients are "
-                    "those of a free-standing surface: where it replaces a wall's material, add "
-                    "that wall's alpha."
+                    "Its area times alpha is the absorption area that was found. The area is so large "
+                    "that a calibration can make it absorb more or less. Its coefficients are those of "
+                    "a free-standing surface: where it replaces a wall's material, add that wall's "
+                    "alpha."
                 )
             )
     else:
@@ -369,6 +370,17 @@ def _ends(made: Corrected) -> str:
     return f"from ({low}) to ({high}) m"
 
 
+def _of_lists(reports: Mapping[str, ExportReport]) -> list[str]:
+    """Return how lists of materials differ from the room, and what they do not contain."""
+    said = [f"{n}: {'; '.join(r.notes)}." for n, r in reports.items() if r.notes]
+    lost: dict[str, list[str]] = {}
+    for name, report in reports.items():
+        for what in report.lost:
+            lost.setdefault(what, []).append(name)
+    each = "; ".join(f"{what} ({', '.join(names)})" for what, names in lost.items())
+    return [*said, *([f"The lists do not contain: {each}."] if each else [])]
+
+
 def correct(
     finding: Finding,
     out: Path,
@@ -380,7 +392,7 @@ def correct(
 ) -> tuple[str, dict[str, Any], dict[Path, bytes]]:
     """Return the text, the record and the files (not written) of a finding's corrected model."""
     record = finding.to_dict()
-    if finding.refusal is not None:
+    if finding.refusal is not None and effect is None and at is None:
         nothing = str(finding.refusal)
         return f"{nothing}\nNothing is written.", {**record, "sentence": nothing}, {}
     made = finding.apply(effect=effect, form=form, at=at)
@@ -402,14 +414,7 @@ def correct(
             f'"{made.material}". {lines[0]}'
         )
     lines += map(str, made.notes)
-    lines += [f"{n}: {'; '.join(r.notes)}." for n, r in made.reports.items() if r.notes]
-    if lists := made.reports:
-        lost: dict[str, list[str]] = {}
-        for name, report in lists.items():
-            for what in report.lost:
-                lost.setdefault(what, []).append(name)
-        each = "; ".join(f"{what} ({', '.join(names)})" for what, names in lost.items())
-        lines.append(f"The lists do not contain: {each}.")
+    lines += _of_lists(made.reports)
     if finding.kind == "positions":
         lines.append(
             f"{ROOM} is not calibrated: it holds the input coefficients and the new material. "
@@ -422,8 +427,9 @@ def correct(
         calibrated = None if verification is None else verification.corrected
         if calibrated is None or members != finding.members:
             calibrated = recalibrate(made.model.case, finding.discrepancy)
+        undetected = [] if finding.detected else words.headline(finding)[:1]
         lines = [
-            words.added(finding, members),
+            " ".join([words.added(finding, members), *undetected]),
             *warned,
             "",
             *lines_of(calibrated.blocks()),
@@ -436,6 +442,10 @@ def correct(
         record |= {"sentence": lines[0], "calibrated": calibrated.to_dict()}
         room = calibrated.room
     files = made.contents(out)
+    if finding.kind == "means" and finding.case.has_run:
+        lists = material_lists(made.room.replace(alpha=room.alpha))
+        files |= {out / name: content for name, (content, _) in lists.items()}
+        lines += _of_lists({name: report for name, (_, report) in lists.items()})
     if finding.kind != "states" and finding.case.has_run:
         said = lines_of(instructions(finding, made, room, effect, at))
         files[out / INSTRUCTIONS] = ("\n".join(said) + "\n").encode()

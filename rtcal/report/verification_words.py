@@ -20,6 +20,11 @@ _USED = (
     "Without a mark: the effect is fitted to it, alpha is not."
 )
 """What the rows of a table of means are marked by."""
+_ONLY_SCALED = (
+    "As simulated, the second run deviates less than the first, so that rtcal's calibration of both "
+    "runs may be wrong. Calibrate your program without and with the effect, and give both results: "
+    "--calibrated and --simulated."
+)
 _MET = 2.0  # standard deviations of T within which a calibration has met it
 
 
@@ -63,15 +68,19 @@ def _as_compared(v: Verification) -> tuple[str, str]:
     return f"in the second run{', scaled to the measured T by the equation' * scaled}, ", ""
 
 
-def _unproven(v: Verification, found: str, gain: str, measured: list[str]) -> list[str]:
-    """Return that a finding is unproven, what is for it and what against it."""
+def _unproven(v: Verification, found: str, again: str, gain: str, measured: list[str]) -> list[str]:
+    """Return that a finding is unproven, what is for it and what against it.
+
+    ``again`` is what the halves of the pairs found that is other; "" for nothing.
+    """
     said = (
         f"The correction is unproven: the verification neither confirms {found} nor rules it out."
     )
     if v.gain > 0 and v.misses:
         against = _missed(v, f"the {_corrected(v)}'s")
-        against = f"Against it: {against}. Do not simulate with this model."
+        against = f"Against it: {again}{against}. Do not simulate with this model."
         return [said, f"For it: {gain}", *measured, against]
+    gain = again + gain
     return [said, misses(v), f"{gain[:1].upper()}{gain[1:]}", *measured]
 
 
@@ -102,19 +111,20 @@ def sentence(v: Verification) -> str:
         required = f"; required: more than {v.needed:.2f} JND" if supported else ""
         of = "" if v.finding.kind == "states" else "calibrated "
         gain = (
-            f"{again}adding {found} to the model {verb} the mean deviation at data that were not "
+            f"adding {found} to the model {verb} the mean deviation at data that were not "
             f"fitted ({', and '.join(v.held_out)}) by {by} JND (standard error{required}): from "
             f"{v.before:.2f} JND ({of}without it) to {v.after:.2f} JND ({of}with it)."
         )
         measured = [
             _as_simulated(v),
             as_sentence(listed(grounds)) if grounds else "",
+            _ONLY_SCALED if v.only_scaled else "",
         ]
         if v.verdict == "unproven":
             effect = "the effect" if v.corrected is None else found
-            return " ".join(filter(None, _unproven(v, effect, gain, measured)))
+            return " ".join(filter(None, _unproven(v, effect, again, gain, measured)))
         said = [
-            f"The correction is {v.verdict}{but if supported else ''}: {gain}",
+            f"The correction is {v.verdict}{but if supported else ''}: {again}{gain}",
             *measured,
             "The model is better, but the name of the effect may still be wrong."
             if supported
