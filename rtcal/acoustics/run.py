@@ -190,7 +190,7 @@ _WHY: Mapping[Lacking, str] = {
     "measurement": "which the measurement does not have",
     "reference": "which has a different reference for each source",
 }
-_MOST_NAMED = 6
+_MOST_NAMED = 8
 """Names of what one side lacks that are listed; of others their number is said."""
 
 

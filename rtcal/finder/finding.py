@@ -488,17 +488,17 @@ class Finding(Result):
             chosen = self.chosen(effect)
             added = [c for c in self.candidates if c.effect in chosen]
             return corrected_case(self.with_effects(added=added))
-        chosen = self.kind == "positions" and not (at is None and effect is None)
+        by_user = self.kind == "positions" and not (at is None and effect is None)
         every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
-        if self.refusal is not None and not (chosen and every):
+        if self.refusal is not None and not (by_user and every):
             raise DataError(str(self.refusal))
         if self.kind == "states":
             kinds = [c.effect for c in self.candidates]
             return changed_room(self.case, self.area, self.change, self.identified_surfaces, kinds)
         best = self.likeliest
-        if not chosen and self.undecided is not None:
+        if not by_user and self.undecided is not None:
             raise DataError(str(self.undecided))
-        if best is None or chosen:
+        if best is None or by_user:
             if at is not None:
                 surface = surface_at(self.case, at)
                 every = [c for c in every if c.surface == surface]

@@ -56,7 +56,8 @@ def _groups(
     c: Comparison, deviation: Array, chosen: NDArray[np.bool_], parameter: str, words: Any
 ) -> str:
     """Return how much what is below and above deviates, and in which bands."""
-    f, known = c.run.room.centre_frequencies, np.isfinite(deviation)
+    f = c.run.room.centre_frequencies
+    known = np.isfinite(np.array([*c.deviation.values()])).any(axis=0)
     said = []
     for sign, word in zip((-1, 1), words, strict=True):
         some = chosen & (np.sign(deviation) == sign)
