@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.run import Run
     from rtcal.modes.calibrate import ModesResult
+    from rtcal.report.document import Heading
 
 
 def as_options(text: str, arguments: Sequence[str], named: Mapping[str, str] | None = None) -> str:
@@ -443,6 +444,18 @@ OPTIONS: dict[str, Decorator] = {
     ),
 }
 """The options that several commands have."""
+HEADING = (
+    click.option("--title", default="", help="Title of the page; the room's name if not given."),
+    click.option(
+        "--author",
+        default="",
+        envvar="RTCAL_AUTHOR",
+        show_envvar=True,
+        help="Who made the page, as the page names it.",
+    ),
+    click.option("--date", help="Date on the page; today if not given."),
+)
+"""The options of a page's heading."""
 
 
 def rest(args: Namespace, *others: str) -> dict[str, Any]:
@@ -492,26 +505,12 @@ def bands(text: str | None) -> str | list[float] | None:
     return [f for f in stated if f]
 
 
-def heading_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Add --title, --author and --date to a command that takes the ``heading`` of a page."""
+def heading(args: Namespace) -> Heading:
+    """Return the heading of a page by the options of `HEADING`."""
+    from rtcal.report.document import Heading
 
-    @click.option("--title", default="", help="Title of the page; the room's name if not given.")
-    @click.option(
-        "--author",
-        default="",
-        envvar="RTCAL_AUTHOR",
-        show_envvar=True,
-        help="Who made the page, as the page names it.",
-    )
-    @click.option("--date", help="Date on the page; today if not given.")
-    @functools.wraps(command)
-    def with_heading(title: str, author: str, date: str | None, **others: Any) -> None:
-        from rtcal.report.document import Heading
-
-        today = time.strftime("%Y-%m-%d")
-        command(heading=Heading(title, author, today if date is None else date), **others)
-
-    return with_heading
+    today = time.strftime("%Y-%m-%d")
+    return Heading(args.title, args.author, today if args.date is None else args.date)
 
 
 _STANDARD_OUTPUT = 1  # POSIX's number of the stream

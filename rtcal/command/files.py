@@ -334,7 +334,7 @@ _FIGURES = 3
         "Page (HTML) to write, by default report.html beside the result; or, as tables.xlsx, a "
         "workbook of all its tables.",
     ),
-    console.heading_options,
+    *console.HEADING,
 )
 def report(args: Namespace) -> None:
     """Write RESULT as one HTML page with summary, cautions, tables and figures, or as a workbook.
@@ -364,6 +364,8 @@ def report(args: Namespace) -> None:
         console.tell("", {})
         return
     with console.progress_bar(_FIGURES, "figure") as shown:
-        text = pages.page_of(args.result, heading=args.heading, progress=lambda: shown.update(1))
+        text = pages.page_of(
+            args.result, heading=console.heading(args), progress=lambda: shown.update(1)
+        )
     write_text(target, text)
     console.tell("", {"bytes": len(text.encode())})

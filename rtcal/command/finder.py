@@ -308,7 +308,7 @@ def compare(args: Namespace) -> None:
         "Folder for page (report.html), figures (PNG) and the finding (result.json), which is "
         "then verified, too; or a file that ends in .json, for the finding alone.",
     ),
-    console.heading_options,
+    *console.HEADING,
 )
 def find(args: Namespace) -> None:
     """Print whether something is missing from a room's model, and what it is.
@@ -350,7 +350,7 @@ def find(args: Namespace) -> None:
     verification = verified(finding, kept_beside(args.case), args.scheduler)
     place = next(iter(_further_places(finding)), None)
     made = of_finding.page(finding, verification, command(), place)
-    contents = page_files(made, verification or finding, target, args.heading)
+    contents = page_files(made, verification or finding, target, console.heading(args))
     write_all(contents, target)
     record = finding.to_dict()
     if verification is not None:
@@ -534,7 +534,7 @@ def apply(args: Namespace) -> None:
         "Folder for one page (report.html) with its figures, the calibrated room (room.toml, with "
         "its mesh and its lists of materials where there are any) and all numbers (result.json)."
     ),
-    console.heading_options,
+    *console.HEADING,
 )
 def diagnose(args: Namespace) -> None:
     """Find what is missing from a room's model, verify it, add it and calibrate the model.
@@ -565,7 +565,7 @@ def diagnose(args: Namespace) -> None:
     given = tuple(filter(None, (args.case, args.measured)))
     result = replace(diagnosis(finding, verification, cache=cache), given=given)
     if args.out is not None:
-        written = of_diagnosis.contents(result, args.out, args.heading)
+        written = of_diagnosis.contents(result, args.out, console.heading(args))
         write_all(written, args.out)
     console.tell(str(result), result.to_dict)
 

@@ -14,15 +14,7 @@ import click
 from rtcal.command.calibrate import NOT_NEARER, calibrate, fit, learn, study
 from rtcal.command.console import CannotPrint, printing, shown_warnings, warn
 from rtcal.command.files import example, export, measure, report, table
-from rtcal.command.finder import (
-    NOTHING_TO_ADD,
-    apply,
-    compare,
-    diagnose,
-    find,
-    plan,
-    verify,
-)
+from rtcal.command.finder import NOTHING_TO_ADD, apply, compare, diagnose, find, plan, verify
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
@@ -30,12 +22,7 @@ from rtcal.command.room import materials, room
 from rtcal.files import disk
 from rtcal.files.schema import OtherKindError, kind_of
 from rtcal.support import __version__
-from rtcal.support.errors import (
-    MissingAirWarning,
-    MissingDependencyError,
-    RtcalError,
-    SolverError,
-)
+from rtcal.support.errors import MissingAirWarning, MissingDependencyError, RtcalError, SolverError
 from rtcal.support.text import decimal_comma, shortened
 
 EXIT_CODES = {

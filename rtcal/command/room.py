@@ -312,33 +312,29 @@ class _Materials:
         from rtcal.datasets import catalogue
 
         entries = {m.name: m for m in catalogue.material_list().materials}
-        try:
-            near = catalogue.found(name)
-        except DataError as error:
-            raise DataError(
-                f"{place}: {error}. Give another name, or alpha by band instead, such as "
-                '"0.1 0.2 0.3 0.3 0.4 0.4"'
-            ) from error
-        return replace(entries[self._taken(name, near)], name=name)
+        own = 'alpha by band instead, such as "0.1 0.2 0.3 0.3 0.4 0.4"'
+        entry = self._taken(name, None, f"{place}: {{}}. Give another name, or {own}")
+        return replace(entries[entry], name=name)
 
     def piece(self, name: str, number: float) -> Piece:
         """Return pieces by what people call them; DataError for a name that is like none."""
         from rtcal.datasets import catalogue
 
-        try:
-            near = catalogue.found(name, catalogue.pieces())
-        except DataError as error:
-            raise DataError(
-                f"--object: {error}. `rtcal materials` lists all pieces; own values go into the "
-                "room's file, as [[object]] with name, number, area_per_piece and sigma"
-            ) from error
-        return replace(catalogue.piece(self._taken(name, near), number, self.bands), name=name)
+        refused = (
+            "--object: {}. `rtcal materials` lists all pieces; own values go into the room's file, as "
+            "[[object]] with name, number, area_per_piece and sigma"
+        )
+        entry = self._taken(name, catalogue.pieces(), refused)
+        return replace(catalogue.piece(entry, number, self.bands), name=name)
 
-    def _taken(self, name: str, near: list[str]) -> str:
-        """Return the first of the entries that resemble a name, with a note if its name is another."""
+    def _taken(self, name: str, among: dict[str, str] | None, refused: str) -> str:
+        """Return the first entry that resembles a name, with a note if its name is another."""
         from rtcal.datasets import catalogue, lookup
 
-        entry, *others = near
+        try:
+            entry, *others = catalogue.found(name, among)
+        except DataError as error:
+            raise DataError(refused.format(error)) from error
         if entry != name:
             similar = f"; similar names are {', '.join(others)}" if others else ""
             lacks = lookup.unstated(name, entry, {**catalogue.names(), **catalogue.pieces()}[entry])

@@ -16,6 +16,7 @@ from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.marks import gap_jnd, letters, rms
 from rtcal.acoustics.observables import TARGET, parameter_label
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rtcal.acoustics.comparison import Comparison
+    from rtcal.acoustics.room import Room
     from rtcal.calibration.result import CalibrationResult
     from rtcal.finder.finding import Finding
     from rtcal.finder.positions.places import Place
@@ -278,33 +280,48 @@ def coefficients(result: CalibrationResult) -> Any:
     interval of the input is alpha ± 1.645 sigma, limited to 0 to 1. ``result`` is what
     `rtcal.calibrate` returns.
     """
-    room, (low, high) = result.prior, result.interval
+    room, bound = result.prior, result.active != 0
+    size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
+    model = "calibrated, 90 %", AFTER, result.alpha, result.interval
+    figure = _of_alpha(room, size, [model], 2, bound)
+    figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
+    return figure
+
+
+def _of_alpha(
+    room: Room,
+    size: Array,
+    models: Sequence[tuple[str, dict[str, Any], Array, tuple[Array, Array]]],
+    columns: int,
+    bound: NDArray[np.bool_] | None = None,
+) -> Any:
+    """Return the figure of alpha by material: of the input and of models, each with its interval.
+
+    A model is its label, its style, alpha and both ends of the 90 % interval, (n_materials, n_bands).
+    ``bound`` is True where the first model gets a star.
+    """
     f = room.centre_frequencies
-    apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
+    apart = float(f[1] / f[0]) ** 0.12 if len(f) > 1 else 1.0
+    wide = NORMAL_90 * room.sigma
+    ends = (room.alpha - wide).clip(0), np.minimum(room.alpha + wide, room.most_alpha)
+    every = [("input, 90 %", BEFORE, room.alpha, ends), *models]
+    small = {"linestyle": "none", "markersize": 4, "markerfacecolor": "white", "capsize": 2}
 
     def draw(axes: Any, i: int) -> None:
-        prior, after, bound = room.alpha[i], result.alpha[i], result.active[i] != 0
-        spread = NORMAL_90 * room.sigma[i]
-        error = np.abs(np.clip([prior - spread, prior + spread], 0, room.most_alpha[i]) - prior)
-        style = {"markersize": 4, "markerfacecolor": "white", "capsize": 2}
-        style |= {**BEFORE, "linestyle": "none"}
-        axes.errorbar(f / apart, prior, yerr=error, **style, label="input, 90 %")
-        error = np.maximum([after - low[i], high[i] - after], 0)
-        style = {"color": BLUE, "marker": "o", "markersize": 5, "linestyle": "none"}
-        style |= {"capsize": 3, "linewidth": 1.8}
-        axes.errorbar(f * apart, after, yerr=error, **style, label="calibrated, 90 %")
-        style = {"color": BLACK, "marker": "*", "markersize": 11, "linestyle": "none", "zorder": 5}
-        at = f[bound] * apart, after[bound]
-        (stars,) = axes.plot(*at, **style, clip_on=False, label="at a bound")
-        stars.set_in_layout(False)
+        for k, (label, style, alpha, (low, high)) in enumerate(every):
+            at = f * apart ** (k - len(models) / 2)
+            bars = np.maximum([alpha[i] - low[i], high[i] - alpha[i]], 0)
+            axes.errorbar(at, alpha[i], yerr=bars, **{**style, **small}, label=shown(label))
+            if k == 1 and bound is not None:
+                star = {"color": BLACK, "markersize": 11, "zorder": 5, "clip_on": False}
+                places = at[bound[i]], alpha[i][bound[i]]
+                (stars,) = axes.plot(*places, "*", **star, label="at a bound")
+                stars.set_in_layout(False)
         axes.set_ylabel("α" if room.is_surface[i] else "m² per piece", fontsize=9)
         axes.set_ylim(0, None)
         axes.margins(y=0.1)
 
-    size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
-    figure = of_materials(room.materials, room.areas, size, f, draw, 2, room.pieces)
-    figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
-    return figure
+    return of_materials(room.materials, room.areas, size, f, draw, columns, room.pieces)
 
 
 def plane(
@@ -508,33 +525,20 @@ def corrected_times(verification: Verification) -> Any:
 
 
 def corrected_shifts(verification: Verification) -> Any:
-    """Return the figure of the changes of alpha by calibration, without and with a found effect.
+    """Return the figure of alpha as input and as calibrated, without and with a found effect.
 
-    It has a panel for each material, with 90 % intervals; those of the input values are grey. If there
-    are more than `MOST_PANELS` materials, those whose absorption area changed most are drawn.
-    ``verification`` is what `rtcal.finder.verify` returns.
+    It has a panel for each material, with 90 % intervals. If there are more than `MOST_PANELS`
+    materials, those whose absorption area changed most are drawn. ``verification`` is what
+    `rtcal.finder.verify` returns.
     """
-    room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
-    models = verification.calibrations
+    room, models = verification.finding.case.room, verification.calibrations
     moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in models], axis=0) * room.areas
-
-    def draw(axes: Any, i: int) -> None:
-        wide = NORMAL_90 * room.sigma[i]
-        ends = np.clip([room.alpha[i] - wide, room.alpha[i] + wide], 0, 1) - room.alpha[i]
-        axes.fill_between(f, *ends, color="0.88", label="input, 90 %")
-        axes.axhline(0, color=BLACK, linewidth=0.8)
-        for by, x, style, label in (
-            (0.95, models[0], _PLAIN, "calibrated, 90 %"),
-            (1.05, models[1], _CORRECTED, f"calibrated with {verification.effect}, 90 %"),
-        ):
-            low, high = x.interval
-            bars = np.maximum([x.alpha[i] - low[i], high[i] - x.alpha[i]], 0)
-            small = {**style, "markersize": 4, "linestyle": "none", "capsize": 2}
-            shift = x.alpha[i] - room.alpha[i]
-            axes.errorbar(f * by, shift, yerr=bars, **small, label=shown(label))
-        axes.set_ylabel("shift of α", fontsize=9)
-
-    return of_materials(room.materials, room.areas, moved, f, draw, 1, room.pieces)
+    labels = "calibrated, 90 %", f"calibrated with {verification.effect}, 90 %"
+    drawn = [
+        (label, style, x.alpha, x.interval)
+        for label, style, x in zip(labels, (_PLAIN, _CORRECTED), models, strict=True)
+    ]
+    return _of_alpha(room, moved, drawn, 1)
 
 
 _SHOWN = 0.02  # smallest probability of a surface that is written beside it

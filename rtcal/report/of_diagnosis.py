@@ -14,14 +14,7 @@ from rtcal.finder.diagnosis import Diagnosis
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import finding_words as words
 from rtcal.report import of_finding, verification_words
-from rtcal.report.document import (
-    Code,
-    Heading,
-    Page,
-    Section,
-    coefficients,
-    page_files,
-)
+from rtcal.report.document import Code, Heading, Page, Section, coefficients, page_files
 from rtcal.support.blocks import Block, Note
 
 _MET = 0.05

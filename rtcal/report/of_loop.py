@@ -10,16 +10,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring
 from rtcal.loop.closed import Loop
 from rtcal.report import figures
-from rtcal.report.document import (
-    Code,
-    Items,
-    Page,
-    Picture,
-    Section,
-    coefficients,
-    summary,
-    tables,
-)
+from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, summary, tables
 from rtcal.support import __version__
 from rtcal.support.blocks import Note
 

@@ -15,16 +15,7 @@ from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.measured_pairs import Compared, Pair
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import room_view
-from rtcal.report.document import (
-    Box,
-    Code,
-    Items,
-    Page,
-    Section,
-    coefficients,
-    notes,
-    tables,
-)
+from rtcal.report.document import Box, Code, Items, Page, Section, coefficients, notes, tables
 from rtcal.simulators.base import Observations
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
