@@ -280,14 +280,17 @@ def notes(blocks: Sequence[Block]) -> list[str]:
     return [block.text for block in blocks if isinstance(block, Note)]
 
 
-def summary(blocks: Sequence[Block], picture: Picture, level: str = "") -> list[Any]:
+def summary(
+    blocks: Sequence[Block], picture: Picture, more: Sequence[str] = (), *, wide: bool = False
+) -> list[Any]:
     """Return the first part of a page: the first note of a result, its other notes, and a picture.
 
-    The first note is a verdict if there is a ``level``, as that of `Box`.
+    ``more`` are sentences after the notes. A ``wide`` picture stands below them, not beside them.
     """
     lead, *further = notes(blocks)
-    first = Box(level, lead) if level else Note(lead, kind="lead")
-    return [first, SideBySide([[Items(further)], [picture]], "summary")]
+    said = Items([*further, *more])
+    below = [said, picture] if wide else [SideBySide([[said], [picture]], "summary")]
+    return [Note(lead, kind="lead"), *below]
 
 
 def coefficients(

@@ -181,6 +181,9 @@ def _times_axes(axes: Axes, frequencies: Array, label: str, top: float | None = 
     axes.legend()
 
 
+_UPRIGHT = 0.5  # largest vertical part of the normal of a wall
+
+
 def _legend(figure: Any, axes: Axes, columns: int) -> None:
     """Add a legend below a figure, with each label once."""
     drawn = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
@@ -188,8 +191,9 @@ def _legend(figure: Any, axes: Axes, columns: int) -> None:
 
 
 def _outline(axes: Axes, geometry: Polyhedron) -> None:
-    """Draw the edges of a room from above, to scale."""
-    for face in geometry.faces:
+    """Draw the walls of a room from above, to scale."""
+    for i in np.flatnonzero(np.abs(geometry.normals[:, 2]) < _UPRIGHT):
+        face = geometry.faces[i]
         x, y, _ = geometry.vertices[[*face, face[0]]].T
         axes.plot(x, y, color="0.7", linewidth=1, zorder=1)
     axes.set_aspect("equal")

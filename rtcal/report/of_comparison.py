@@ -256,7 +256,7 @@ def section(c: Comparison) -> list[Any]:
         "deviations, including parameters that follow T); grey is one JND.",
         sentence(c),
     )
-    return summary(c.blocks(), picture)
+    return summary(c.blocks(), picture, wide=True)
 
 
 def page(c: Comparison) -> Page:

@@ -37,8 +37,7 @@ def page(loop: Loop) -> Page:
         f"By band: {matched}, and how far each simulation was off. One JND is 5 %.",
     )
     blocks = [
-        *summary(printed, picture),
-        Items(_by_status(loop)),
+        *summary(printed, picture, _by_status(loop)),
         Section("Tables", "tables"),
         *tables(printed),
         coefficients("Absorption coefficients: input → calibrated", room, loop.alpha),
