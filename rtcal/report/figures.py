@@ -192,10 +192,9 @@ def _legend(figure: Any, axes: Axes, columns: int) -> None:
 
 def _outline(axes: Axes, geometry: Polyhedron) -> None:
     """Draw the walls of a room from above, to scale."""
-    for i in np.flatnonzero(np.abs(geometry.normals[:, 2]) < _UPRIGHT):
-        face = geometry.faces[i]
+    for face, normal in zip(geometry.faces, geometry.normals, strict=True):
         x, y, _ = geometry.vertices[[*face, face[0]]].T
-        axes.plot(x, y, color="0.7", linewidth=1, zorder=1)
+        axes.plot(x, y, color="0.7", linewidth=int(abs(normal[2]) < _UPRIGHT), zorder=1)
     axes.set_aspect("equal")
     axes.set_xlabel("x / m")
     axes.set_ylabel("y / m")
