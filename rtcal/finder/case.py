@@ -66,6 +66,7 @@ from rtcal.calibration.measured import notes_of_bands, times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, expecting, json_object, read, toml_table
 from rtcal.finder.effects import AppliedEffect, check_parameters, library
+from rtcal.finder.model import FEATURES, LEVELS
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
@@ -79,11 +80,6 @@ from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.text import as_sentence, first_of, shortened
 from rtcal.support.types import Array, read_only
 
-PARAMETERS = ("t20", "edt", "t30", "c80", "g")
-"""Names of the room-acoustic parameters that a case of means over positions compares."""
-LEVELS = ("c80", "g")
-"""Names of the parameters in dB, whose uncertainty is in dB. The uncertainty of the others is
-relative."""
 GEOMETRICAL = "geometrical"
 """Kind of a program that traces rays or image sources, as the field ``program`` of a case has it."""
 MAX_BYTES = 50_000_000
@@ -311,7 +307,7 @@ class Configuration:
                     f"{where}: distances has {most:g} m, but at most {longest:.3g} m is "
                     f"possible, {rule}"
                 )
-        for name in PARAMETERS:
+        for name in FEATURES:
             kind, values = observable(name), measured.values.get(name, np.zeros((0, 0)))
             least, most = LEVEL_LIMITS.get(name, kind.limits)
             with np.errstate(invalid="ignore"):
@@ -338,7 +334,7 @@ class Configuration:
         except DataError as error:
             raise DataError(f"{where}: {error}") from error
         made: dict[str, Any] = {"simulated": replace(self.simulated, simulated=both.run)}
-        made["left_out"] = tuple(dict.fromkeys([*self.left_out, *both.left_out(PARAMETERS)]))
+        made["left_out"] = tuple(dict.fromkeys([*self.left_out, *both.left_out(FEATURES)]))
         if self.distances is not None:
             rows = [measured.pairs.index(p) for p in both.measured.pairs]
             made["distances"] = self.distances[rows]
@@ -359,11 +355,11 @@ def _configuration(
                 "planned, leave measured out"
             )
         wanted, n = table.parameters, 4 if table.positions is None else table.positions
-        fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
+        fits = all(p in FEATURES for p in wanted) and "t20" in wanted
         if not fits or len(set(wanted)) < len(wanted):
             raise DataError(
                 f"{where}: parameters must be a list with t20; it may also have "
-                f"{', '.join(p for p in PARAMETERS if p != 't20')}, each once"
+                f"{', '.join(p for p in FEATURES if p != 't20')}, each once"
             )
         if not 1 <= n <= MAX_POSITIONS:
             raise DataError(f"{where}: positions = {n} must be from 1 to {MAX_POSITIONS}")

@@ -177,11 +177,6 @@ def probability_off(room: Room) -> float:
     return OFF_TOGETHER * relative_sigma(room) ** 2
 
 
-def sharpness(room: Room) -> float:
-    """Return the power to which probabilities after the measurement are raised before normalisation."""
-    return 1.0 + SHARPER * (1.0 - relative_sigma(room))
-
-
 def log_priors(odds: ArrayLike, off: float, no_effect: float = NO_EFFECT) -> Array:
     """Return log priors (2 + n,) of nothing, of an error in common, and of n effects by odds."""
     of_effects = (1 - no_effect) * np.asarray(odds) / np.sum(odds)
@@ -204,7 +199,8 @@ def prior_of(
     odds = {e.name: stated.get(e.name, e.prior_odds(room)) for e in effects}
     odds[UNKNOWN] = 0.0 if UNKNOWN in without else stated.get(UNKNOWN, UNKNOWN_ODDS)
     log = log_priors([*odds.values()], off, no_effect).tolist()
-    return Prior(dict(zip((NONE, COEFFICIENTS, *odds), log, strict=True)), off, sharpness(room))
+    probabilities = dict(zip((NONE, COEFFICIENTS, *odds), log, strict=True))
+    return Prior(probabilities, off, sharpness=1.0 + SHARPER * (1.0 - relative_sigma(room)))
 
 
 def left_out_of(

@@ -19,7 +19,10 @@ from rtcal.acoustics.room import Room
 from rtcal.support.types import Array, read_only_view
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
-"""Names of the compared features: ln T20 (s), ln EDT/T20, ln T30/T20, and C80 and G in dB."""
+"""Names of the parameters that means over positions are compared by, and of the features: ln T20 (s),
+ln EDT/T20, ln T30/T20, and C80 and G in dB."""
+TIMES, LEVELS = FEATURES[:3], FEATURES[3:]
+"""Decay times, whose uncertainty is relative, and levels, whose uncertainty is in dB."""
 _LN6 = 6 * np.log(10)
 _STEPS = 12
 _FROM_ENDS = 1e-6
@@ -150,11 +153,6 @@ class RoomState:
     def directions_known(self) -> bool:
         """Whether it is known in which direction any material faces; else all shares are 1/3."""
         return not np.allclose(self.facing, 1 / 3)
-
-    @property
-    def of_pieces(self) -> Array:
-        """Absorption area of the pieces in m², (n_bands,)."""
-        return np.where(self.walls, 0.0, self.areas) @ self.alpha
 
     @property
     def surface_absorption(self) -> Array:

@@ -16,8 +16,9 @@ from typing import Any
 from scipy.special import betaincinv
 
 from rtcal.acoustics.room import Room
-from rtcal.finder.case import LEVELS, Case
+from rtcal.finder.case import Case
 from rtcal.finder.evidence import relative_sigma
+from rtcal.finder.model import LEVELS
 
 TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C80 or G"
 RUN = "a simulation by another program"

@@ -42,7 +42,7 @@ from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.apply import corrected_geometry
-from rtcal.finder.case import LEVELS, Case, PositionsCase, StatesCase
+from rtcal.finder.case import Case, PositionsCase, StatesCase
 from rtcal.finder.claim import DISTINCT_NATS, Candidate, Reason
 from rtcal.finder.evidence import probability_off
 from rtcal.finder.finding import DATA, LEAST_PAIRS, Finding, feature_names
@@ -60,7 +60,7 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.means.recalibration import LogTimes, Recalibrated, plain, recalibrate
 from rtcal.finder.means.search import LITTLE, fit, gap_check
-from rtcal.finder.model import FEATURES
+from rtcal.finder.model import FEATURES, LEVELS
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.states import find as find_change
 from rtcal.loop.measured_pairs import ControlRuns, Pair, gap_at_pairs, trace_ahead

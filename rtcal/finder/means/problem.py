@@ -82,7 +82,7 @@ from rtcal.finder.evidence import (
     with_columns,
 )
 from rtcal.finder.means.engines import ControlRooms, bias_estimates, draw_alpha, recentred
-from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
+from rtcal.finder.model import FEATURES, LEVELS, TIMES, Predicted, RoomState, predict, sensitivities
 from rtcal.support.errors import DataError
 from rtcal.support.normal import symmetric_root
 from rtcal.support.types import Array, read_only
@@ -412,7 +412,6 @@ LARGEST_UNCERTAINTY = 0.15
 
 The evidence takes ln T as normal. With u = 15 % the mean of ln T is off by u²/2 = 1.1 %, which is 0.08
 of its standard deviation; the error grows with u."""
-TIMES, LEVELS = ("t20", "edt", "t30"), ("c80", "g")
 SHARED_BY_T20_AND_T30 = 0.75
 """Correlation of that error between T20 and T30 of one decay, which share most of their range."""
 ONE_LEVEL = 1.0
@@ -515,7 +514,7 @@ def _amount(m: Measurement) -> str:
 def features_of_values(m: Measurement) -> Array:
     """Return the features of a measurement or a run, (n_features, n_bands)."""
     amount = _amount(m)
-    mean = {p: m.mean(p) for p in (*TIMES, *LEVELS)}
+    mean = {p: m.mean(p) for p in FEATURES}
     with np.errstate(divide="ignore", invalid="ignore"):
         table = np.stack(
             [

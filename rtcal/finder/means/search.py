@@ -73,7 +73,6 @@ from rtcal.finder.finding import Finding
 from rtcal.finder.means.engines import ControlRooms, checked_controls, control_rooms
 from rtcal.finder.means.planning import next_measurement
 from rtcal.finder.means.problem import (
-    LEVELS,
     MOST,
     NEGLIGIBLE,
     MeansEvidence,
@@ -98,7 +97,7 @@ from rtcal.finder.means.problem import (
     values_of_features,
 )
 from rtcal.finder.means.problem import score as evidence_of_something
-from rtcal.finder.model import FEATURES, rates
+from rtcal.finder.model import FEATURES, LEVELS, rates
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas

@@ -28,7 +28,7 @@ from rtcal.acoustics.changes import facing
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import UNKNOWN as UNAIMED
-from rtcal.finder.case import PARAMETERS, Case, Configuration, PositionsCase
+from rtcal.finder.case import Case, Configuration, PositionsCase
 from rtcal.finder.claim import (
     CLAIMED,
     DISTINCT_NATS,
@@ -54,6 +54,7 @@ from rtcal.finder.evidence import (
 )
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.search import find as find_by_means
+from rtcal.finder.model import FEATURES
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.problem import (
     COUPLED,
@@ -210,7 +211,7 @@ def of_means(case: PositionsCase) -> Case:
     along = facing(case.room, case.geometry)
     means = Case(room=case.room, configurations=[measured], facing=along)
     names = {observable(name).stand_in or name for name in case.match}
-    return means.only(*names.intersection(PARAMETERS))
+    return means.only(*names.intersection(FEATURES))
 
 
 _SPACING = 0.1  # standard deviation of ln size within the grid's distance, which is 0.26
