@@ -1047,23 +1047,11 @@ def case_of(
 
     Parameters
     ----------
-    room : Room
-        Room with its input coefficients.
-    measured : Measurement
-        Measurement of the room.
-    simulator : PathTracing, optional
-        Simulator of the room; by default a path tracing of the room's mesh, if the room has one.
-    before : Measurement, optional
-        Measurement of the room at an earlier time, before the room was changed.
-    tracing : mapping, optional
-        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, for the path tracing of the
-        room's mesh.
+    room, measured, simulator, before, tracing, program
+        As for `rtcal.find`.
     simulated : Run, optional
         Result of a simulation program, which replaces that of the reverberation equation or of the path
         tracing. At positions, the program must have used the room's input coefficients.
-    program : str
-        Kind of the simulation program: "geometrical" if it traces rays or image sources, else ""
-        (`Case.program`).
     **stated
         Further fields of a `PositionsCase`, such as ``exclude``.
 

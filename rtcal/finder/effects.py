@@ -83,47 +83,40 @@ class Effect(ABC):
     unit: ClassVar[str]
     """Unit of this amount, as text that follows the value."""
     parameters: ClassVar[Mapping[str, Parameter]] = {}
-    """Parameters of the effect, by name, which are listed with every effect that is added to a
-    model."""
+    """Parameters of the effect, by name."""
     neutral: ClassVar[float] = 0.0
-    """Amount with which the effect changes nothing. NaN where there is none; no interval of the amount
-    is then given."""
+    """Amount with which the effect changes nothing. NaN without one; it has no interval then."""
     removable: ClassVar[bool] = False
     """Whether the object can be taken out of the room."""
     size_error: ClassVar[float] = 0.25
-    """Standard deviation of ln size (of the size itself where it can be negative) from the simplified
-    physics of the effect, for example because the position of an opening is unknown. Chosen on
-    simulated rooms (benchmarks/studies/hidden_world), so that 90 % intervals contain the true size."""
+    """Standard deviation of ln size (of the size itself where it can be negative) from the
+    simplified physics. Chosen on simulated rooms (benchmarks/studies/hidden_world), so that 90 %
+    intervals hold."""
     family: ClassVar[str] = "of your own"
-    """Name of the group of effects that change the measurement in a similar way. The name "added
-    absorption, ..." begins the names of several groups of added absorption."""
+    """Name of the group of effects that change the measurement in a similar way. Several groups of
+    added absorption have names that begin with "added absorption, "."""
     alone: ClassVar[bool] = True
-    """Whether the effect may be identified by its own name. If not, only its group is identified: for
-    example, the equations for a coupled room and for a non-diffuse field are too rough to distinguish
-    them."""
+    """Whether the effect may be identified by its own name. If not, only its group is: the
+    equations for a coupled room and for a non-diffuse field are too rough to distinguish them."""
     odds: ClassVar[float] = 1.0
-    """Odds of the effect before the measurement, relative to the library's other effects; most have
-    1."""
+    """Odds of the effect before the measurement, relative to the usual ones, which have 1."""
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
     """Three standard deviations of the relative error of the effect's change: of an error common to all
     bands, of an error that grows per octave from 1 kHz, and of an error per band with a correlation of
     0.5 between neighbouring octaves."""
     formula_error: ClassVar[float] = 0.106
-    """Standard deviation of the relative error of the effect's change in a single parameter such as T20
-    or C80, from errors of the equation that no two parameters share."""
+    """Standard deviation of the relative error of the effect's change in each parameter by itself."""
     takes_wall: ClassVar[bool] = False
     """Whether the size of the effect is an area of wall that it replaces."""
     largest_share: ClassVar[float] = 0.25
     """Largest share of all surfaces of the room that the effect is assumed to cover."""
     stands_on: ClassVar[Sequence[str]] = ()
-    """Kinds of surfaces on which the effect may be: "floor", "wall" and "ceiling". With a measurement
-    of each position it is tried on each of them. An effect without any is tried only for means over
-    positions."""
+    """Kinds of surfaces on which the effect may be: "floor", "wall" and "ceiling". At positions it is
+    tried on each of them; an effect without any is tried only for means over positions."""
     shares: ClassVar[Sequence[float]] = ()
     """Shares of a surface that are tried, for an effect that takes absorption away from the surface."""
     needs_directions: ClassVar[bool] = False
-    """Whether the effect depends on the directions in which surfaces face. If the room does not have
-    these directions, the effect is not tried."""
+    """Whether the effect is tried only where it is known in which directions surfaces face."""
     in_geometry: ClassVar[bool] = False
     """Whether a geometrical program already includes the effect, so that it cannot be missing from its
     run."""
@@ -131,8 +124,8 @@ class Effect(ABC):
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"
     )
-    """Reason why a simulator of a room cannot have the effect; None where it can, or already has it.
-    Used only for effects that no material can represent."""
+    """Reason why a simulator of a room cannot have an effect that no material can represent, or
+    None."""
 
     @property
     def discrete(self) -> list[str]:

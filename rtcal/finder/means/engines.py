@@ -418,14 +418,11 @@ def control_rooms(
         Room and configurations for which reference rooms are made.
     seed : int
         Seed of the random numbers.
-    progress : function, optional
-        Called with the simulator's name, and the numbers of finished and of all rooms.
+    progress, scheduler
+        As for `rtcal.find`.
     cache : path, optional
-        Folder in which the errors of each simulator are kept for this case, seed and version of rtcal.
-        You can delete the folder at any time. If a file in it cannot be read or written, the rooms are
-        simulated, and no error is raised.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers simulate; by default threads of this machine do.
+        Folder in which the errors are kept for this case, seed and version of rtcal. You can delete it
+        at any time. If a file in it cannot be read or written, the rooms are simulated.
 
     Returns
     -------
