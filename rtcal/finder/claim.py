@@ -191,22 +191,12 @@ def conclude(
     reasons: Sequence[Reason] = (),
     weak: Reason | None = None,
 ) -> Claim:
-    """Return the verdict of a search, the effect or group that is identified, and the reasons.
+    """Return the verdict of a search, what is identified, and the reasons.
 
-    Parameters
-    ----------
-    detected : str or None
-        "none" or "hint" if no difference from the model is detected, which is then the verdict.
-    probabilities, families : mapping of str to float
-        Probabilities of the effects and of their groups, the most probable first.
-    by_family_alone : collection of str
-        Names of effects of which only the group can be identified (`Effect.alone`).
-    reasons : sequence of Reason
-        Doubts about the most probable effect. `LEAVES` has the verdict that remains with each.
-    weak : Reason, optional
-        Reason why the data are too weak (`too_weak`), which makes the verdict "hint" unless an effect
-        or a group is identified; or why the difference may be a program's own error (`of_program`),
-        with which nothing is identified if an uneven field is the most probable group.
+    ``detected`` is "none" or "hint" if no difference is detected, and then the verdict. ``reasons`` are
+    doubts about the most probable effect: `LEAVES` has what remains. With the reason ``weak`` of
+    `too_weak` the verdict is "hint" unless something is identified. With that of `of_program` nothing
+    is identified if an uneven field is the most probable group.
     """
     own = weak is not None and weak.code == OWN_FIELD
     if weak is not None and own and (detected is None or next(iter(families)) == FIELD):

@@ -31,6 +31,7 @@ class Diagnosis(Result):
 
     record_kind: ClassVar[str] = "diagnosis 1"
     words_in: ClassVar[str] = "rtcal.report.of_diagnosis"
+    in_file: ClassVar[str] = "finding verification corrected calibrated"
 
     finding: Finding
     verification: Verification | None
@@ -53,16 +54,6 @@ class Diagnosis(Result):
 
     def __repr__(self) -> str:
         return f"<Diagnosis of {self.finding!r}>"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as plain values for JSON."""
-        verified, corrected = self.verification, self.corrected
-        return {
-            "finding": self.finding.to_dict(),
-            "verification": None if verified is None else verified.to_dict(),
-            "corrected": None if corrected is None else corrected.to_dict(),
-            "calibrated": self.calibrated.to_dict(),
-        }
 
 
 def _corrected(finding: Finding, verification: Verification | None) -> Corrected | None:

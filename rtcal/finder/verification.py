@@ -145,6 +145,10 @@ class Verification(Result):
 
     record_kind: ClassVar[str] = "verification 8"
     words_in: ClassVar[str] = WORDS
+    in_file: ClassVar[str] = (
+        "verdict sentence finding held_out before_jnd=before after_jnd=after gain_jnd=gain "
+        "uncertainty_jnd=uncertainty predictive_nats=predictive models quantities places counted added"
+    )
 
     finding: Finding
     models: tuple[str, ...]
@@ -314,24 +318,11 @@ class Verification(Result):
         """Return the verification as plain values for JSON; deviations are means over the seeds."""
         calibrated = {"uncorrected": self.uncorrected, "corrected": self.corrected}
         return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
+            **super().to_dict(),
             "misses": [dict(vars(miss)) for miss in self.misses],
             "least_shrinkage_jnd": LEAST_SHRINKAGE,
-            "finding": self.finding.to_dict(),
-            "held_out": list(self.held_out),
-            "before_jnd": json_numbers(self.before),
-            "after_jnd": json_numbers(self.after),
-            "gain_jnd": json_numbers(self.gain),
-            "uncertainty_jnd": json_numbers(self.uncertainty),
-            "predictive_nats": json_numbers(self.predictive),
             "objections": [] if np.isnan(self.before) else [str(o) for o in self.objections],
-            "models": list(self.models),
-            "quantities": list(self.quantities),
-            "places": list(self.places),
-            "counted": self.counted.tolist(),
             "gaps_jnd": json_numbers(self.sizes.mean(axis=1)),
-            "added": json_numbers(self.added),
             **{name: of.to_dict() for name, of in calibrated.items() if of is not None},
         }
 

@@ -90,6 +90,9 @@ class Plan(Result):
     """Hold which effects a case's data could distinguish, and what to measure next."""
 
     record_kind: ClassVar[str] = "plan 2"
+    in_file: ClassVar[str] = (
+        "parameters change reached proposals sequence uncertainty_nats=uncertainty"
+    )
 
     parameters: tuple[str, ...]
     """Names of the parameters that the case has."""
@@ -111,17 +114,8 @@ class Plan(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values for JSON."""
-        return {
-            "parameters": list(self.parameters),
-            "change": self.change,
-            "reached": dict(self.reached),
-            "separations": [
-                {"effect": a, "against": b, "nats": v} for (a, b), v in self.separations.items()
-            ],
-            "proposals": [p.to_dict() for p in self.proposals],
-            "sequence": [p.to_dict() for p in self.sequence],
-            "uncertainty_nats": self.uncertainty,
-        }
+        apart = [{"effect": a, "against": b, "nats": v} for (a, b), v in self.separations.items()]
+        return {**super().to_dict(), "separations": apart}
 
     def __repr__(self) -> str:
         return f"<Plan with {', '.join(self.parameters)}: {len(self.reached)} effects>"
