@@ -442,7 +442,7 @@ def steps(case: Case, used: Array) -> dict[int, str]:
     """Return names by number of values of two steps: T of the first configuration, then all data."""
     first = int(np.argmax(used.any((1, 2))))
     configuration = case.configurations[first]
-    time = parameter_label("t20" if "t20" in configuration.measured.values else "t30")
+    time = parameter_label(_amount(configuration.measured))
     of = f' of "{configuration.name}"' if len(case.configurations) > 1 else ""
     return {int(used[first, 0].sum()): f"{time}{of}", int(used.sum()): "all data"}
 
@@ -469,17 +469,15 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[Reason]]:
                 table[c, :, b] = np.nan
     used = np.isfinite(table)
     full = np.zeros((n, len(FEATURES), k, n, len(FEATURES), k))
-    for c in range(n):
-        for b in range(k):
-            full[c, :, b, c, :, b] = np.nan_to_num(blocks[c, b])
+    for c, b in np.ndindex(n, k):
+        full[c, :, b, c, :, b] = np.nan_to_num(blocks[c, b])
     flat = used.ravel()
-    size = flat.size
     if not used.any():
         raise DataError(
             "T cannot be used in any band of any configuration: "
             + "; ".join(str(note).removesuffix(".") for note in notes)
         )
-    covariance = full.reshape(size, size)[np.ix_(flat, flat)]
+    covariance = full.reshape(flat.size, flat.size)[np.ix_(flat, flat)]
     origin = Reason("uncertainties", {"origins": origins})
     return ObservedFeatures(table, used, covariance, origin), notes
 
@@ -515,16 +513,9 @@ def features_of_values(m: Measurement) -> Array:
     """Return the features of a measurement or a run, (n_features, n_bands)."""
     amount = _amount(m)
     mean = {p: m.mean(p) for p in FEATURES}
+    time, levels = mean[amount], [mean[p] for p in LEVELS]
     with np.errstate(divide="ignore", invalid="ignore"):
-        table = np.stack(
-            [
-                np.log(mean[amount]),
-                np.log(mean["edt"] / mean[amount]),
-                np.log(mean["t30"] / mean[amount]),
-                mean["c80"],
-                mean["g"],
-            ]
-        )
+        table = np.stack([*np.log([time, mean["edt"] / time, mean["t30"] / time]), *levels])
     if amount == "t30":
         # T20 is missing and T30 stands in for it: the ratio would be 0 by construction.
         table[2] = np.nan
