@@ -245,13 +245,10 @@ class Configuration:
             "name": self.name,
             "measured": self.measured.to_dict(),
             "planned": self.planned,
-            "changes": {
-                material: {"alpha": json_numbers(c.alpha), "sigma": json_numbers(c.sigma)}
-                for material, c in self.changes.items()
-            },
+            "changes": json_numbers(self.changes),
             "suspect_removed": self.suspect_removed,
             "air": None if self.air is None else asdict(self.air),
-            "distances": None if self.distances is None else json_numbers(self.distances),
+            "distances": json_numbers(self.distances),
             **run,
         }
 
