@@ -318,10 +318,9 @@ def found(name: str, among: Mapping[str, str] | None = None) -> list[str]:
             f"{said}: no name of a {kind} is in it, at most a finish, a form or what it is without"
         )
     near = [n for n in meant.nearest if n in described][:_OTHERS]
-    near = near or similar(name, _OTHERS, among) or _in_letters(name, described)
-    said += (
-        f". The nearest {'names are' if near[1:] else 'name is'} {', '.join(near)}" if near else ""
-    )
+    near = near or similar(name, _OTHERS, among)
+    if near:
+        said += f". The nearest {'names are' if near[1:] else 'name is'} {', '.join(near)}"
     elsewhere = _meaning(name, other)
     beyond = [n for n in (elsewhere.entry, *meant.nearest) if n in other]
     if beyond:
@@ -337,12 +336,6 @@ def _meaning(name: str, described: Mapping[str, str]) -> lookup.Meaning:
 
 def _plainly(name: str) -> str:
     return re.sub(r"[\W_]+", " ", name.lower()).strip()
-
-
-def _in_letters(name: str, described: Mapping[str, str]) -> list[str]:
-    """Return entries whose names have most letters of a name in common."""
-    plain = {_plainly(n): n for n in described}
-    return [plain[n] for n in difflib.get_close_matches(_plainly(name), plain, _OTHERS, 0.7)]
 
 
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:

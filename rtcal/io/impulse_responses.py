@@ -446,8 +446,14 @@ def analysed(
         rate, place, n = response.sampling_rate, response.place, len(centres)
         of_bands = [_of_band(time, onset, rate, float(f), fractions, needed) for f in centres]
         if LEVEL.key in needed:
+            for other, top in peaks.items():
+                if other[0] == pair[0] and abs(top / peak - 1) < _SAME_PEAK:
+                    raise DataError(
+                        f"level: {responses[other].place} and {place} have the same peak, "
+                        f"{top:.3g}, so they were normalised. Export them with one gain, or leave "
+                        "level out"
+                    )
             peaks[pair] = peak
-            _refuse_normalised(responses, peaks, pair)
         for of_band in of_bands:
             if LEVEL.key in of_band.values:
                 of_band.values[LEVEL.key] += 20 * np.log10(peak)
@@ -520,29 +526,11 @@ def assembled(
 _SAME_PEAK = 1e-3  # Relative difference of the peaks of two files up to which one normalised both
 
 
-def _refuse_normalised(
-    responses: Mapping[tuple[str, str], Response],
-    peaks: Mapping[tuple[str, str], float],
-    last: tuple[str, str],
-) -> None:
-    """Raise DataError if two receivers of a source have the same peak, so that no level is left."""
-    for pair, peak in peaks.items():
-        if pair[0] == last[0] and pair != last and abs(peak / peaks[last] - 1) < _SAME_PEAK:
-            raise DataError(
-                f"level: {responses[pair].place} and {responses[last].place} have the same peak, "
-                f"{peak:.3g}, so they were normalised and their levels cannot be compared. Export "
-                "them with one gain, or leave level out"
-            )
-
-
 LEAST_SILENCE = 0.01
 """Duration in s of digital silence at the end of a response from which a note mentions it."""
 LEAST_CLIPPED = 4
-"""Number of samples at the largest value from which a response is clipped.
-
-A decay has one such sample, and by rounding a few at most. tests/test_impulse_responses.py
-tries both: decays of 10 to 24 bits, and the same clipped at half of the peak.
-"""
+"""Number of samples at the largest value from which a response is clipped; by rounding a decay has a
+few at most, as decays of 10 to 24 bits show."""
 _BARE = (
     "hardly a decay: {} without any parameter. Look whether it is an impulse response, and not noise "
     "or a recording of the excitation"
@@ -560,12 +548,8 @@ _CLIPPED = (
 _SILENT = "digital silence at the end is left out: {}"
 
 _SMOOTH = 5.0
-"""Largest step beside a smooth maximum, in the file's smallest step.
-
-Samples of a parabola's top that are rounded to one value lie within one step of each other. At most
-three times as far from the top, and for a run of three at twice, are their neighbours: 4 steps lower,
-and 1 more by their own rounding.
-"""
+"""Largest step beside a smooth maximum, in the file's smallest step: the neighbours of samples of a
+parabola's top that are rounded to one value are 4 steps lower, and 1 more by their own rounding."""
 
 _LARGEST = 1e150  # Largest sample whose square is finite, with a margin for sums
 

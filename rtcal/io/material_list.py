@@ -51,16 +51,14 @@ Token = tuple[str, int, int]
 class ListedMaterial:
     """Hold one material of a program's material list.
 
-    ``line`` is its line in the file, from 1. ``alpha`` and ``scattering`` (n_bands,) are coefficients
-    from 0 to 1, in the bands ``centre_frequencies`` in Hz. ``spans`` and ``scattering_spans`` are the
-    positions of their numbers in the file's text, and ``scattering_place`` is where scattering can be
-    inserted. ``unit`` is the factor from a number in the file to the coefficient, 0.01 for percent.
-    ``decimals`` is the number of decimals to write; None for all. ``source`` is the origin of the
-    coefficients, "" for the list itself. ``doubt`` is a reason not to use them, "" without one.
-    ``sigma`` is the standard deviation of all coefficients, 0 where they are exact by definition; None
-    leaves it to a rule.
-
-    ``name`` is its name in the file.
+    ``name`` is its name in the file, and ``line`` its line, from 1. ``alpha`` and ``scattering``
+    (n_bands,) are coefficients from 0 to 1, in the bands ``centre_frequencies`` in Hz. ``spans`` and
+    ``scattering_spans`` are the positions of their numbers in the file's text, and ``scattering_place``
+    is where scattering can be inserted. ``unit`` is the factor from a number in the file to the
+    coefficient, 0.01 for percent. ``decimals`` is the number of decimals to write; None for all.
+    ``source`` is the origin of the coefficients, "" for the list itself. ``doubt`` is a reason not to
+    use them, "" without one. ``sigma`` is the standard deviation of all coefficients, 0 where they are
+    exact by definition; None leaves it to a rule.
     """
 
     name: str
@@ -149,13 +147,11 @@ class ListedMaterial:
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialList:
-    """Hold the materials in a simulation program's file, and the file's text.
+    """Hold the ``materials`` in a simulation program's file, in its order, and the file's ``text``.
 
     ``path`` is the name of the file in messages. ``aliases`` maps further names of materials to the
     names in the file. ``scattering_text`` is a function that returns the text of scattering
     coefficients, one per band, to write at `ListedMaterial.scattering_place`.
-
-    ``text`` is the file's content, and ``materials`` are the materials in its order.
     """
 
     path: str

@@ -54,9 +54,8 @@ _RISE, _ABOVE_NOISE = 10**-1.5, 10**2.1
 _LOWEST_ONSET = 500.0
 """Lowest band in Hz whose onset counts: those below ring in a filter and in a loudspeaker."""
 _ONSETS = 0.015
-"""Largest difference in s of the onsets of bands. In 40 rooms of image sources, 13 of them with a weak
-direct sound at high frequencies, the right sweep had up to 0.005. One of a length or rate 8 % off had
-0.021 and more, since such a sweep delays each band by another time."""
+"""Largest difference in s of the onsets of bands. In 40 rooms of image sources the right sweep had up
+to 0.005, and one of a length or rate 8 % off, which delays each band otherwise, 0.021 and more."""
 _LEAST_TAIL = 0.05  # Shortest response in s that is taken
 _QUIET = 0.01
 """Largest peak over full scale of a recording of which a note says that it is quiet (-40 dB)."""

@@ -686,8 +686,6 @@ def _of_cells(name: str, cells: Sequence[str], known: Sequence[Column]) -> Colum
     """Return what an unknown column may hold beside the known ones; None if it is to be asked."""
     kinds = {column.kind for column in known}
     if cells and all(map(_is_number, cells)):
-        if [*cells] == [str(n) for n in range(len(cells))]:
-            return Column("", name)
         is_place = "band" in kinds and "value" not in kinds and statistic_of(name) is None
         return Column("value", name, receiver=name) if is_place and name else None
     if cells and all(map(_names_parameter, cells)) and "parameter" not in kinds:
