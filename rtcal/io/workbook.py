@@ -17,7 +17,6 @@ import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from functools import reduce
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -82,12 +81,9 @@ def _check_size(content: bytes, path: str) -> None:
     if "xl/workbook.xml" not in sizes:
         raise DataError(f"{path}: is a zip file, but not a workbook (xlsx); save it as xlsx")
     cells = 0
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        for name in sizes:
-            if not name.lower().endswith(".xml"):
-                continue
-            with _parsing(path):
-                part = archive.read(name)
+    with _parsing(path), zipfile.ZipFile(io.BytesIO(content)) as archive:
+        for name in (n for n in sizes if n.lower().endswith(".xml")):
+            part = archive.read(name)
             if "worksheets/" in name:
                 cells += len(_CELL.findall(part)) + sum(map(_area, _MERGED.findall(part)))
             elif name.startswith("xl/styles"):
@@ -99,15 +95,12 @@ def _check_size(content: bytes, path: str) -> None:
 
 _CELL = re.compile(rb"<(?:\w+:)?c[\s/>]")
 _MERGED = re.compile(rb"""<(?:\w+:)?mergeCell\s[^>]*?ref\s*=\s*["']([^"']*)""")
-_CORNER = re.compile(rb"\$?([A-Za-z]{1,3})\$?(\d{1,7})")
 
 
 def _area(merged: bytes) -> int:
     """Return the number of cells of a range such as A1:C9."""
-    corners = _CORNER.findall(merged)[:2]
-    columns = [reduce(lambda n, c: 26 * n + c - 64, letters.upper(), 0) for letters, _ in corners]
-    rows = [int(digits) for _, digits in corners]
-    return (1 + abs(columns[0] - columns[-1])) * (1 + abs(rows[0] - rows[-1])) if corners else 0
+    left, top, right, bottom = _library().utils.range_boundaries(merged.decode())
+    return int((1 + abs(right - left)) * (1 + abs(bottom - top)))
 
 
 def _workbook(content: bytes, path: str, stored: bool) -> Any:
