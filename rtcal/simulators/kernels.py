@@ -663,22 +663,20 @@ def weigh(
     starts: NDArray[np.uint64],
     bins: NDArray[np.uint32],
     weights: Array,
-    n_bins: int,
-) -> Array:
-    """Return the energy of image sources in each time bin, (n_bands, n_bins).
+    out: Array,
+) -> None:
+    """Add the energy of image sources in each time bin to ``out``, (n_bands, n_bins).
 
     ``x``, ``y`` and ``z`` (n_bands, n_lattice) are the products of (1 - alpha) over the hits along each
     axis. ``rows``, ``starts``, ``bins`` and ``weights`` are those of `rtcal.simulators.shoebox.Images`.
     """
     # Unsigned indices need no check for negative values, which would take half of the time.
-    out = np.zeros((len(x), n_bins))
     for run in range(len(rows)):
         begin, first = starts[run], rows[run, 2]
         for band in range(len(x)):  # the inner loops stay within the run: its images are cached
             reflected = x[band, rows[run, 0]] * y[band, rows[run, 1]]
             for i in range(starts[run + 1] - begin):
                 out[band, bins[begin + i]] += reflected * z[band, first + i] * weights[begin + i]
-    return out
 
 
 @compiled(reorder=True)

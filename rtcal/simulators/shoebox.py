@@ -294,9 +294,8 @@ class ImageSource(ShoeboxSimulator):
                     reflected[::2], reflected[1::2], images.hits, strict=True
                 )
             )
-            energy = kernels.weigh(
-                x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
-            )
+            energy = np.zeros((len(x), self._n_bins))
+            kernels.weigh(x, y, z, images.rows, images.starts, images.bins, images.weights, energy)
             out.append(
                 energy * np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
             )
