@@ -21,6 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotri
 from scipy.special import chdtrc
 
 from rtcal.acoustics.changes import Change, Variant
@@ -145,7 +146,7 @@ def unexplained_errors(
         covariance = expected + np.diag(variance[parameter] * square)
         factor = cho_factor(covariance, lower=True)
         pull = cho_solve(factor, innovation)
-        of_variance = np.diag(cho_solve(factor, np.eye(len(square)))) - pull**2
+        of_variance = np.diag(dpotri(factor[0], lower=True)[0]) - pull**2
         slope = np.bincount(parameter, of_variance * square, minlength=number) / 2
         return 0.5 * float(innovation @ pull) + float(np.log(np.diag(factor[0])).sum()), slope
 
