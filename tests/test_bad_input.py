@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+import soundfile as sf
 
 import rtcal as rt
 from rtcal.command import main as cli
@@ -194,6 +195,7 @@ FILES = {  # every kind of file that commands read, by the word that stands for 
     "TREATMENTS": ("treatments.toml", "a file of treatments"),
     "CASE": ("case.json", "a case"),
     "RESULT": ("made/result.json", "a saved result"),
+    "RESPONSE": ("s.flac", "a recording or impulse response"),
 }
 
 
@@ -201,6 +203,7 @@ def stated() -> None:
     Path("one.toml").write_text(ROOM)
     Path("one.csv").write_text(TIMES)
     Path("variants.toml").write_text('[[variant]]\nname = "as it is"\n')
+    Path("s.flac").write_bytes(b"fLaC\0\0\0\x22\xff\xfe")
     Path("treatments.toml").write_text(
         '[target]\ntime = 0.5\n[[treatment]]\nname = "rug"\nmaterial = "carpet"\ncovers = "wall"\n'
         "largest = 10\n"
@@ -241,7 +244,7 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
     words = taken.split()
     names = [FILES[word][0] if word in FILES else word for word in words]
     for i, word in enumerate(words):
-        needed = {**FILES, "RESPONSE": ("", "an impulse response")}.get(word)
+        needed = FILES.get(word)
         for other, (name, kind) in FILES.items():
             # A room of `find`: its table is missing.
             taken_as_well = {("plan", "RESULT"), ("find CASE", "ROOM")}
@@ -254,6 +257,24 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
         exchanged[i], exchanged[k] = names[k], names[i]
         advice = said(exchanged).partition("Exchange the two files: rtcal ")[2].strip()
         assert advice == " ".join(names)
+
+
+@pytest.mark.parametrize("ending", ["wav", "rf64", "w64", "aiff", "flac", "ogg", "caf", "sofa"])
+def test_a_sound_in_any_place_names_the_command_that_reads_it(ending: str, run, capsys) -> None:
+    run(ROOM, TIMES)
+    stated()
+    sound = Path(f"s1.{ending}")
+    if ending == "sofa":
+        sound.write_bytes(b"\x89HDF\r\n\x1a\n")
+    else:
+        sf.write(sound, np.zeros(480), 48000, format="OGG" if ending == "ogg" else ending.upper())
+    with sound.open("ab") as stream:
+        stream.truncate(2**26)  # more than any table or room may have
+    for command in ("calibrate", "find", "compare", "fit"):
+        for arguments in ((sound, "t.csv"), ("room.toml", sound)):
+            with pytest.raises(SystemExit):
+                cli.main([command, *map(str, arguments)])
+            assert f"`rtcal measure {sound}` makes a table" in capsys.readouterr().err
 
 
 def test_terms_that_set_contradicting_bounds_are_named() -> None:

@@ -258,14 +258,6 @@ def test_a_size_that_an_entry_does_not_state_is_said(material, lacks, rtcal):
     assert ("does not state" in said) == (lacks is not None)
 
 
-def test_a_response_in_place_of_t_names_the_command_that_reads_it(tmp_path, rtcal):
-    path, response = tmp_path / "room.toml", tmp_path / "S1-R1.wav"
-    rtcal("room", *box("9,7,3", "0.1", "0.1", "0.1"), "--out", path)
-    response.write_bytes(b"RIFF\xff\xff\xffWAVE")
-    for command in ("calibrate", "find"):
-        assert "`rtcal measure` makes the table" in rtcal.refused(command, path, response)
-
-
 @pytest.mark.parametrize("ceiling", ["acoustic tile", "plaster", "acoustic panel"])
 def test_a_factor_of_ten_is_said_first(ceiling, rtcal):
     sides = ["room", *box("9,7,3", "carpet", ceiling, "plaster")]

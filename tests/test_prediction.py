@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.changes import read_variants
 from rtcal.prediction import Assumptions, Change, changed, predict
-from rtcal.prediction.predicted import Prediction
+from rtcal.prediction.predicted import JND, Prediction
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also, in_order, room_of
 
@@ -141,6 +142,33 @@ def test_adding_absorption_lengthens_t_in_no_draw(method: str, equation) -> None
         longer = made.samples > np.log(made.time_before)[:, np.newaxis] + 1e-12
         assert not (longer & more).any()
         assert more.mean() > 0.9
+
+
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("method", METHODS)
+def test_what_is_exchanged_for_equal_numbers_changes_t_as_is_said(method: str) -> None:
+    """The old surface is the calibrated one, the new has its input alpha: T differs by the factor."""
+    for seed, factor in product(range(2), (0.8, 1.0, 1.25)):
+        room = a_room(seed)
+        t = factor * rt.Eyring().reverberation_time(room)
+        found = rt.calibrate(room, at_two_positions(t, 0.03), method)
+        old = room.material("walls")
+        made = found.predict(Change(cover="walls", by=replace(old, name="twin")))
+        low, high = made.interval
+        assert ((low < t) & (t < high)).all()
+        said = " ".join(made.sentences)
+        alone = next(iter(made.by_equation.values()))
+        moved = np.abs(alone / found.reverberation_time_after - 1).max()
+        if factor == 1:
+            assert moved < 1e-6
+        assert ("Calibration changed alpha" in said) == (moved > JND)
+        if len(made.by_equation) == 1 and (made.mean < (1 - JND) * alone).any():
+            assert "hard surfaces may absorb" in said
+        # Nothing of it where the calibrated numbers are taken, as is advised.
+        taken = rt.Material("twin", found.alpha[room.materials.index("walls")], old.sigma)
+        again = found.predict(Change(cover="walls", by=taken))
+        alone = next(iter(again.by_equation.values()))
+        assert alone == pytest.approx(found.reverberation_time_after, rel=1e-6)
 
 
 @pytest.mark.usefixtures("few_draws")

@@ -377,6 +377,7 @@ def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:
     for objective, constraints, error, place in (
         (P(), [SHARE], DataError, "have the same prior"),
         (P() + terms.SoftMatch(), [], DataError, r"the uncertainty of T\[63 Hz\] is unknown or 0"),
+        (P() + terms.SoftMatch(), [], DataError, "give the term's `relative` one"),
         (P() + terms.SoftMatch(1e-9), [], DataError, r"uncertainty of T\[63 Hz\] is below"),
         (P() + terms.AddedAbsorption("x", [1, 1], 1.0), [], ModelError, "shape"),
         (P(), [terms.Bounds(0.6, 1), terms.Bounds(0, 0.5)], DataError, "lower bound is above"),

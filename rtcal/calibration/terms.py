@@ -633,6 +633,10 @@ class SoftMatch(Term):
         unknown = numbers.matched & ~np.isfinite(u)
         if self.relative is not None and unknown.any():
             u = np.where(unknown, self.relative * numbers.time * numbers.target_sensitivity, u)
+        unstated, remedy = "0", "give the measured uncertainty, or leave it out"
+        if self.relative is None:
+            unstated = "unknown or 0"
+            remedy = "give it with the measurement, or give the term's `relative` one"
         for bad, message in (
             (
                 np.isinf(u),
@@ -642,9 +646,8 @@ class SoftMatch(Term):
             ),
             (
                 ~(u > 0),
-                "the uncertainty of T[{band}] is unknown or 0, but SoftMatch needs it "
-                "as a weight. Give it with the measurement; or leave out an uncertainty "
-                "of 0 and give SoftMatch(relative=...), which replaces an unknown one",
+                f"the uncertainty of T[{{band}}] is {unstated}, but a soft match weights T by "
+                f"it: {remedy}",
             ),
             (
                 u < SMALLEST_UNCERTAINTY * np.abs(numbers.target),

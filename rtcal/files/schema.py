@@ -341,13 +341,16 @@ _HOLDS = {
 }
 """What a file is by a key that no other kind has, and which command takes it."""
 TABLE = "a table of values"
-_HINTS = dict(_HOLDS.values()) | {TABLE: _FIRST}
 RESULT = "a saved result"
 MADE = (
     "Make one first, such as `rtcal calibrate room.toml t.csv --out calibrated` or `rtcal find "
     "room.toml t.csv --out found`"
 )
-RESPONSE = "an impulse response"
+RESPONSE = "a recording or impulse response"
+_HINTS = dict(_HOLDS.values()) | {
+    TABLE: _FIRST,
+    RESPONSE: "`rtcal measure {0}` makes a table of T from it",
+}
 _NEEDED = {RESULT: MADE, RESPONSE: "Give a sound file (WAV, FLAC) or a SOFA file"}
 """What to give where a kind is needed; for the others it follows from the file that was given."""
 _EXAMPLE = dict.fromkeys(
@@ -355,10 +358,14 @@ _EXAMPLE = dict.fromkeys(
 ) | {"a case": "`rtcal find` also takes a room, followed by its measurement"}
 _NO_TABLE = re.compile(r"\s*(?:\[|\{|[\w.\"-]+\s*=)")
 _MOST_OF_A_FILE = 2**25
+_SOUNDS = (b"RIFF", b"RF64", b"riff", b"fLaC", b"FORM", b"OggS", b"caff", b"\x89HDF")
+"""First bytes of WAV, W64, FLAC, AIFF, Ogg, CAF and SOFA files."""
 
 
 def kind_of(path: str | os.PathLike[str]) -> str:
     """Return the kind of a file, such as "a room", "a case" or `RESULT`; "" for an unknown kind."""
+    if _starts(path).startswith(_SOUNDS):
+        return RESPONSE
     with suppress(DataError, UnicodeDecodeError):
         content = read_bytes(path, _MOST_OF_A_FILE)
         if content.startswith(b"PK"):
@@ -372,6 +379,15 @@ def kind_of(path: str | os.PathLike[str]) -> str:
         cells = [line for line in first if re.search(r"[,;\t]", line) and not _NO_TABLE.match(line)]
         return TABLE if len(cells) == 2 and "\0" not in text else ""
     return ""
+
+
+def _starts(path: str | os.PathLike[str]) -> bytes:
+    """Return the first bytes of a file, which may be too large to be read whole."""
+    with suppress(OSError, ValueError):
+        if os.path.isfile(path):
+            with open(path, "rb") as stream:
+                return stream.read(4)
+    return b""
 
 
 class OtherKindError(DataError):

@@ -37,8 +37,6 @@ MAX_NAME = 31
 _ZIP = b"PK\x03\x04"
 _OTHERS = {
     b"\xd0\xcf\x11\xe0": "Excel's old format (xls); save it as xlsx",
-    b"\x89HDF": "a SOFA (HDF5) file: `rtcal measure` reads its responses",
-    b"RIFF": "a recording or a response (WAV): `rtcal measure` makes the table of T from it",
     b"%PDF": "a PDF; copy its table into a workbook (xlsx) or a CSV",
     b"\x89PNG": "a picture; type its table into a workbook (xlsx) or a CSV",
 }

@@ -48,6 +48,8 @@ COVERAGE = 0.9
 """Probability that a value is within its printed interval."""
 _POINTS = 20_000
 """Most points of the probability that T is within a range in all bands; its error is below 0.001."""
+_HARD = 0.1
+"""Absorption coefficient below which a surface is called hard."""
 _SURE = 1e-12
 """Standard deviation of ln T from which on T is not known exactly."""
 _ROUNDING = 1e-9
@@ -362,9 +364,38 @@ class Prediction(TimeChange, Result):
             if apart[k] >= JND:
                 ends = float(low[k]), float(high[k])
                 said.append(words.uneven(labels[k], float(self.mean[k]), two, ends))
+        if self.simulated is None:
+            said += self._of_coefficients
         if known.measured.any() and self.simulated is None:
             said.insert(0, words.gained(JND * self.uncalibrated.half_width, JND * self.half_width))
         said.append(words.to_narrow(self.parts, known.n_measured))
+        return said
+
+    @property
+    def _of_coefficients(self) -> list[str]:
+        """Sentences on T that changes although the input coefficients of old and new are alike."""
+        known, room, said = self.known, self.before, []
+        labels = bands.labels(room.centre_frequencies)
+        rows = [known.materials.index(material) for material in room.materials]
+        calibrated = known.alpha[rows]
+        # What the calibration added to the absorption area of what leaves, over that of the room.
+        moved = self.exchanged[0, rows, np.newaxis] * (calibrated - room.alpha)
+        share = moved.sum(axis=0) / known.equation.target(room, known.time)
+        share = np.where(known.measured & np.isfinite(share), share / (1 - share), 0.0)
+        k = int(np.argmax(np.abs(share)))
+        least = max(JND, abs(float(self.mean[k] / self.time_before[k]) - 1) / 4)
+        if self._new and abs(share[k]) >= least:
+            i = int(np.argmax(np.abs(moved[:, k])))
+            old = room.materials[i], float(room.alpha[i, k]), float(calibrated[i, k])
+            new = [self.after.materials[i] for i in self._new]
+            said.append(words.of_calibrated(labels[k], old, new, float(share[k])))
+        (name, alone), *others = self.by_equation.items()
+        comes = self.known_alpha.alpha[:, self.exchanged[1] > 0, 0].min(axis=1, initial=1.0)
+        below = np.where(known.measured & (comes < _HARD), 1 - self.mean / alone, 0.0)
+        k = int(np.argmax(below))
+        # Where Arau-Puchades' T differs too, `words.uneven` says why.
+        if below[k] >= JND and all(abs(t[k] / alone[k] - 1) < JND for _, t in others[:1]):
+            said.append(words.of_hard(labels[k], float(below[k]), name))
         return said
 
     def __repr__(self) -> str:

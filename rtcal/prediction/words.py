@@ -150,6 +150,38 @@ def uneven(
     )
 
 
+def of_calibrated(
+    label: str, old: tuple[str, float, float], new: Sequence[str], share: float
+) -> str:
+    """Return that a calibration changed the coefficients of what leaves, and not those of what comes.
+
+    ``label`` is the band. ``old`` are the name of the covered material, its input and its calibrated
+    alpha, ``new`` the names of the new materials. ``share`` is the change of T by the difference, as a
+    share of T.
+    """
+    name, stated, calibrated = old
+    come = " and ".join(f'"{each}"' for each in new)
+    if stated:
+        alike = (
+            f" If both deviate alike from their input, multiply it by {calibrated / stated:.2g}."
+        )
+    else:
+        alike = ""
+    return (
+        f'Calibration changed alpha of "{name}" at {label} from {stated:.2g} to {calibrated:.2g}, but '
+        f"{come} {'have' if new[1:] else 'has'} the input alpha. The difference changes T by "
+        f"{100 * share:+.0f} %.{alike}"
+    )
+
+
+def of_hard(label: str, below: float, equation: str) -> str:
+    """Return why T after is below the equation's by a share of it, in a band."""
+    return (
+        f"At {label} T after is {100 * below:.0f} % below that by {equation}'s equation alone, because "
+        "hard surfaces may absorb much more than their alpha, but only a little less."
+    )
+
+
 _UNEVEN = "Caution: the absorption is uneven after the change"
 _NEXT = "Next: to narrow the interval, "
 _CALIBRATION = "Calibration "
