@@ -139,6 +139,14 @@ def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
     with pytest.raises(InfeasibleError, match=r"these probabilities by band: .* Hz 0\.00") as error:
         design(known(), small, TARGET)
     assert "already too short" not in str(error.value)
+    assert "but the range ends at" in str(
+        error.value
+    )  # the room is far from it: no other words help
+    assert "narrow the interval" not in str(error.value)
+    with pytest.raises(
+        InfeasibleError, match=r"T with these areas is .* but the range ends at 0.01"
+    ):
+        design(known(), TREATMENTS, Target([0.001] * 3, [0.01] * 3))
     t = known().known.time
     with pytest.raises(InfeasibleError, match="T is already too short for this target"):
         design(known(), TREATMENTS, Target(1.5 * t, 2 * t))

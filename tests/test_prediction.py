@@ -120,6 +120,7 @@ def test_the_width_grows_with_the_change_from_next_to_nothing(method: str, named
     assert (np.diff(widths, axis=0) > 0).all()
     assert (widths[0] < 2e-3).all()
     tiny = found.predict(Change(add=PANEL, area=SMALL))
+    assert tiny.headline.startswith("T changes by less than 1 %")
     assert (tiny.half_width < 0.1).all()
     assert (np.abs(tiny.change) < 0.2).all()
 

@@ -213,7 +213,12 @@ def read(path: Paths, **options: Any) -> MeasuredTable:
     for i, file in enumerate(files):
         if file in files[:i]:
             raise DataError(f"{names[i]} {_GIVEN_TWICE}: give each table once")
-    return parse({name: read_bytes(name, MAX_BYTES) for name in names}, **options)
+    return parse({name: _content(name) for name in names}, **options)
+
+
+def _content(path: str | os.PathLike[str]) -> bytes:
+    with expecting(TABLE, path):  # a sound may be larger than any table
+        return read_bytes(path, MAX_BYTES)
 
 
 def parse(
@@ -263,7 +268,7 @@ def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
 
     ``path`` is the path of the file.
     """
-    content = read_bytes(path, MAX_BYTES)
+    content = _content(path)
     if any(module.recognises(content) for module in FORMATS):
         return read(path)
     return MeasuredTable(Measurement.from_file(os.fspath(path)), ())

@@ -687,15 +687,23 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     ]
     wider = model.widening(probability)
     if wider is None:
-        said.append("A wider range does not help.")
+        said.append(f"Not even a range {_WIDEST:g} times as wide at both ends can be met.")
     else:
         percent = 100 * (wider - 1)
         by = f"{percent:.0f} %" if percent >= 1 else "less than 1 %"
         said.append(f"A range that is wider by {by} at both ends can be met.")
-    parts = model.prediction(at).parts
-    said.append(
-        f"To narrow the interval, {words.advice(next(iter(parts)), model.known.n_measured)}."
-    )
+    made = model.prediction(at)
+    too_long = np.nan_to_num(made.mean / target.high - 1)
+    too_short = np.nan_to_num(target.low / made.mean - 1)
+    k = int(np.argmax(np.maximum(too_long, too_short)))
+    reached = f"T with these areas is {made.mean[k]:.2f} s at {labels[k]}, but the range"
+    if too_long[k] > 0:
+        said.append(f"{reached} ends at {target.high[k]:.3g} s.")
+    elif too_short[k] > 0:
+        said.append(f"{reached} begins at {target.low[k]:.3g} s.")
+    if has_chance:
+        part = next(iter(made.parts))
+        said.append(f"To narrow the interval, {words.advice(part, model.known.n_measured)}.")
     return said
 
 

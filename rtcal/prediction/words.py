@@ -118,8 +118,9 @@ def headline(
     if by != format(ends[0], form):
         by = f"{format(ends[0], form)} to {by}"
     low, high = interval
+    how = f"{verb} by {by} %" if change.any() else "changes by less than 1 %"
     return (
-        f"{parameter} {verb} by {by} %. The largest change is at {labels[k]}: from {before[k]:.2f} to "
+        f"{parameter} {how}. The largest change is at {labels[k]}: from {before[k]:.2f} to "
         f"{after[k]:.2f} s (90 % interval {low[k]:.2f} to {high[k]:.2f} s)."
     )
 
