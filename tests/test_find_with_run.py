@@ -21,6 +21,7 @@ from rtcal.finder.means.problem import features_of, observe
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.verification import residual_map
 from rtcal.report import of_finding
+from rtcal.report.finding_words import without_measuring
 from rtcal.report.verification_words import sentence
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
@@ -458,6 +459,11 @@ def test_a_hint_is_added_and_verified_only_where_it_is_chosen(absorber, tmp_path
     assert "only a weak indication" in said
     again = verify(hint, simulated=run_of(absorber, effect=True, off=1.0), effect=name)
     assert again.verdict != "supported"
+
+
+def test_a_program_that_differs_is_calibrated_by_the_loop(absorber):
+    agrees = replace(absorber, verdict="none", family=None, named=())
+    assert "rtcal loop start" in without_measuring(agrees)
 
 
 def test_a_second_run_that_is_nearer_as_simulated_is_not_withdrawn(absorber):

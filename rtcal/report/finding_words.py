@@ -559,6 +559,8 @@ def without_measuring(f: Finding) -> str:
         )
     if f.verdict != NONE or not f.differs:
         return ""
+    if f.kind != "states" and f.case.has_run:
+        return "Calibrate your program (`rtcal loop start` with the same --simulated)."
     command = "fit" if f.kind == "positions" else "calibrate"
     return f"Calibrate the room (`rtcal {command}`)."
 
