@@ -122,9 +122,10 @@ class Commands:
         self._capsys = capsys
 
     def __call__(self, *arguments: object) -> str:
-        """What a command prints that succeeds."""
+        """What a command prints that succeeds; its warnings are in ``warned``."""
         code, (out, err) = run(*arguments), self._capsys.readouterr()
         assert code == 0, err
+        self.warned = " ".join(err.split())
         return " ".join(out.split())
 
     def refused(self, *arguments: object) -> str:

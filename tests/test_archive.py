@@ -169,19 +169,6 @@ def test_rooms_that_differ_too_far_give_no_room(rooms):
         archive.apply(rooms[0].prior.replace(name="new"))
 
 
-def test_states_of_a_room_share_what_is_its_own():
-    """A room in two states teaches more than in one, and less than two rooms."""
-    rooms, mu, sigma, octaves = small()
-    noise = np.diag(np.diag(rooms[1].covariance)[:2])
-    apart = [RoomData(rooms[1].areas[[s]], rooms[1].target[[s]], noise) for s in (0, 1)]
-    left = []
-    for more in ([apart[0]], [rooms[1]], apart):
-        evidence = Evidence([rooms[0], *more], mu, sigma, octaves)
-        every = np.ones(len(evidence.room), dtype=bool)
-        left.append(np.trace(evidence.posterior(SPREAD, every)[1]))
-    assert left[0] > 1.01 * left[1] > 1.01 * 1.01 * left[2]
-
-
 def test_configurations_are_learned_as_one_room(rooms, tmp_path):
     full = rooms[0].prior
     bare = full.replace(name="bare", areas=full.areas * [1, 1, 1, 1, 0.3])

@@ -35,7 +35,6 @@ from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.problem import (
     MeansHypotheses,
     MeansProblem,
-    distances,
     estimate_discrepancy,
     evaluate,
     observe,
@@ -140,13 +139,6 @@ def test_coupled_rooms_follow_their_energy_balance():
     solved = np.array([expm(np.multiply(balance, at))[0, 0] / 300 for at in t])
     weights, rates = decay.weights[0, band], decay.rates[0, band]
     np.testing.assert_allclose((weights * np.exp(-np.outer(t, rates))).sum(1), solved, rtol=1e-5)
-
-
-def test_a_dead_second_room_is_an_opening():
-    dead = predict([made(shape=CoupledDecay(10.0, 1e6, 0.9))], np.array([6.0])).features[0]
-    hole = predict([made().covered(10.0, np.ones(7))], np.array([6.0])).features[0]
-    np.testing.assert_allclose(dead, hole, atol=2e-3)
-    assert (np.abs(hole[0] - predict([made()], np.array([6.0])).features[0, 0]) > 0.1).all()
 
 
 def test_a_field_that_scatters_is_diffuse_and_one_that_does_not_decays_by_direction():
@@ -405,17 +397,6 @@ def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Findi
     return find(case, controls=controls_of(case))
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("share", [0.25, 0.35])
-def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share):
-    """An absorber on a quarter of all surfaces was a hint: T was less than half the model's."""
-    finding = absorbing_room(share, alike=False, shape=False)
-    assert finding.verdict == "family"
-    assert str(finding.family).startswith("added absorption")
-    assert finding.mistake == finding.reasons[0]
-    assert finding.refusal is None
-
-
 @pytest.mark.parametrize("shape", [True, *also(False)])
 @pytest.mark.parametrize("share", [0.35, *also(0.25)])
 def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(share, *, shape):
@@ -423,19 +404,6 @@ def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(share, *, sh
     finding = absorbing_room(share, alike=True, shape=shape)
     assert finding.verdict not in ("named", "family")
     assert finding.reasons[0].code == MISTAKE
-
-
-@pytest.mark.long
-def test_a_noise_floor_that_makes_t_many_times_longer_is_named():
-    """T20 is 2.9 times the model's: the decay's bend tells a noise floor from a mistake."""
-    case = opened()
-    noisy = [replace(state(case, c), floor_db=-32.0) for c in case.configurations]
-    features = predict(noisy, distances(case, case.configurations[0])).features[0]
-    t20 = np.exp(features[0])
-    assert np.median(t20 / np.exp(predict_hypotheses(case, []).features[0, 0, 0])) > 2
-    case = case_with(t20, edt=t20 * np.exp(features[1]), t30=t20 * np.exp(features[2]))
-    finding = find(case, controls=controls_of(case))
-    assert (finding.verdict, finding.effect) == ("named", "noise floor"), finding.reasons
 
 
 def test_surprise_is_chi_square_s():

@@ -185,23 +185,3 @@ def test_near_an_end_the_bound_has_the_rounding_of_the_row(seed: int) -> None:
     truth = rational.solve(alpha, sigma, areas, float(result.target[0]))
     error = np.abs(result.alpha[:, 0] - np.array([float(a) for a in truth]))
     assert (error <= result.certificate.alpha_error_bound[:, 0] + 1e-17).all()
-
-
-def test_a_target_at_the_end_of_its_reach_leaves_no_freedom() -> None:
-    """No move keeps such a row: its coefficients are known as precisely as their bounds."""
-    rooms = [
-        room_of(
-            {"wall": (80, 0.2, 0.05), "mat": (mat, 0.5, 0.2)},
-            [500],
-            name=f"{mat} m² of mat",
-            alpha_min=[[0.1], [0.0]],
-        )
-        for mat in (10, 30)
-    ]
-    floor = [
-        rt.Eyring().time(room, np.array([room.areas @ room.alpha_min[:, 0]])) for room in rooms
-    ]
-    calibration = rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.ExactMatch()])
-    result = calibration.build(rt.Configurations(rooms)).solve(floor, unreachable="nearest")
-    assert result.unknowns == pytest.approx([0.1, 0.0], abs=1e-12)
-    assert result.certificate.alpha_error_bound.max() < 1e-12

@@ -8,7 +8,6 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-import rtcal as rt
 from rtcal.calibration import exact, exact_kernel
 from rtcal.support.errors import DataError
 from tests import rational
@@ -225,16 +224,6 @@ def test_what_does_not_fit_is_an_error() -> None:
         exact.solve(0.1, [0.1], [1], 0.2)
     with pytest.raises(DataError, match="mu must be an array"):
         exact.solve(["a"], [0.1], [1], 0.2)
-
-
-def test_optimum_and_closed_form() -> None:
-    rng = np.random.default_rng(6)
-    mu, sigma, areas = rng.uniform(0.3, 0.7, 6), rng.uniform(0.01, 0.1, 6), rng.uniform(5, 50, 6)
-    closed = rt.exact.maximum_likelihood(mu, sigma, areas, 80.0)
-    assert closed.min() > 0
-    np.testing.assert_allclose(exact.solve(mu, sigma, areas, 80.0).alpha, closed, rtol=1e-12)
-    best = exact.solve(mu, sigma, areas, 10.0).alpha  # bounds active
-    assert np.any(best == 0)
 
 
 def test_small_difference_of_large_areas_is_exact_to_rounding() -> None:

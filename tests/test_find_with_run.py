@@ -11,8 +11,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate, verify
-from rtcal.finder.apply import DRAWN_LARGER
-from rtcal.finder.claim import Reason
 from rtcal.finder.effects import IN_RUN, AppliedEffect, Opening
 from rtcal.finder.finding import Finding
 from rtcal.finder.means import engines
@@ -23,9 +21,6 @@ from rtcal.finder.verification import residual_map
 from rtcal.report import of_finding
 from rtcal.report.finding_words import without_measuring
 from rtcal.report.verification_words import sentence
-from rtcal.simulators import PathTracing, Polyhedron
-from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import DataError
 from tests.conftest import also
 
@@ -148,18 +143,6 @@ def test_what_is_missing_from_the_run_is_found_all_the_same():
     assert finding.families["added absorption"] > 0.7
 
 
-@pytest.mark.long
-def test_run_and_measurement_with_twice_the_time_say_the_same():
-    def doubled(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        return {k: 2 * v if k in ("t20", "edt", "t30") else v for k, v in values.items()}
-
-    run = values_of(hall())
-    one = found(with_absorber(run), run)
-    other = found(doubled(with_absorber(run)), doubled(run))
-    assert one.verdict == other.verdict
-    assert one.score == pytest.approx(other.score, abs=1e-6)
-
-
 def test_calibrations_meet_the_measurement_in_the_terms_of_the_run():
     """At the run's coefficients the model is the run, whatever they are; away from them, its ratio."""
     room, values = hall(), values_of(hall(), 1.3)
@@ -274,36 +257,6 @@ def test_what_positions_do_cancels_between_room_and_program(monkeypatch):
     assert np.ptp(engine.run(alone, 0).errors, axis=0).min() > 0.1
 
 
-@pytest.mark.long
-def test_a_large_patch_is_found_beside_a_run_of_the_same_simulator():
-    """The tracer is room and program: only the noise of its paths and the patch differ."""
-    alpha = np.full((2, 6), 0.12)
-    room = rt.Room(
-        name="box", volume=7 * 6 * 4.0, materials=["walls", "floor"], areas=[2 * 28 + 2 * 24 + 42, 42],
-        alpha=alpha, sigma=0.15 * alpha, centre_frequencies=F, air=rt.Air(20, 50),
-        dimensions=(7.0, 6.0, 4.0), band_correlation=0.7,
-    )  # fmt: skip
-    on = dict.fromkeys(SHOEBOX_WALLS, "walls") | {"floor": "floor"}
-    tracer = PathTracing(
-        room=room, geometry=Polyhedron.shoebox((7, 6, 4), on), sources={"S": (1.5, 1.2, 1.5)},
-        receivers={"R1": (5.5, 4.5, 1.2), "R2": (4.0, 2.0, 1.6), "R3": (2.0, 4.8, 1.3)},
-        n_paths=3000, n_batches=2, scattering=0.5, workers=1,
-    )  # fmt: skip
-    run, patch = tracer.simulate(alpha, seed=1), np.array(alpha)
-    patch[1] = np.array([0.15, 0.5, 0.85, 0.95, 0.95, 0.9])  # 50 mm of mineral wool
-    of = ("t20", "edt", "t30", "c80", "g")
-
-    def search(real: np.ndarray) -> Finding:
-        made = tracer.simulate(real, seed=2)
-        return rt.find(room, measurement({p: made.mean(p) for p in of}), program="geometrical",
-                       simulated=rt.Run(room, run), without=FEWER)  # fmt: skip
-
-    assert search(alpha).verdict in ("none", "hint")
-    found_patch = search(patch)
-    assert found_patch.detected
-    assert found_patch.families["added absorption"] > 0.9
-
-
 @pytest.fixture(scope="module")
 def absorber() -> Finding:
     """A finding with a run in which an opening is missing, and C80 and G were measured."""
@@ -330,19 +283,6 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber):
     both = verify(absorber, simulated=first.measured, calibrated=first.simulated.simulated)
     assert both.runs == both.models
     assert both.before == pytest.approx(float(again.by_seed[0, 0]))
-
-
-def test_the_page_of_a_second_run(absorber, tmp_path, rtcal):
-    """`verify --out` writes what it printed, and reads it again."""
-    absorber.save(tmp_path / "found")
-    absorber.case.configurations[0].measured.save(str(tmp_path / "again.csv"))
-    made = ("--simulated", tmp_path / "again.csv", "--out", tmp_path / "verified")
-    printed = rtcal("verify", tmp_path / "found", *made)
-    assert "as simulated" in (tmp_path / "verified" / "report.html").read_text().lower()
-    assert rtcal("verify", tmp_path / "verified")[:400] == printed[:400]
-    result = tmp_path / "found" / "result.json"
-    rtcal.refused("verify", tmp_path / "found", "--out", result.parent, "--simulated", result)
-    assert not (tmp_path / "found" / "report.html").exists()
 
 
 def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(absorber):
@@ -410,25 +350,6 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(absor
     assert again.uncertainty == made.uncertainty
 
 
-@pytest.mark.long
-def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber):
-    first = absorber.case.configurations[0]
-    second = run_of(absorber, effect=True, off=1.0)
-
-    def errors(of: rt.Measurement, levels: float) -> rt.Measurement:
-        u = {p: np.full_like(of.values[p], levels) for p in ("c80", "g")}
-        return replace(of, uncertainty={**of.uncertainty, **u})
-
-    def uncertainty(measured: float, run: float) -> float:
-        own = replace(first, measured=errors(first.measured, measured))
-        case = replace(absorber.case, configurations=[own])
-        return verify(absorber, case, simulated=errors(second, run)).uncertainty
-
-    # In JND of 1 dB, two parameters in six bands each. What was measured is common to both gaps.
-    assert uncertainty(1e-3, 0.0) < 1e-3
-    assert uncertainty(1e-3, 2.0) == pytest.approx(2.0 * np.sqrt((1 - 2 / np.pi) / 12), rel=0.15)
-
-
 def test_instructions_are_in_the_terms_of_the_program(absorber, tmp_path):
     """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
     _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
@@ -474,12 +395,3 @@ def test_a_second_run_that_is_nearer_as_simulated_is_not_withdrawn(absorber):
         seen = replace(made, gaps=gaps, again=np.full(made.again.shape, off))
         assert seen.verdict == verdict
         assert ("may be wrong. Calibrate your program" in sentence(seen)) == (verdict == "unproven")
-
-
-def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber):
-    made = absorber.apply()
-    drawn = Reason(DRAWN_LARGER, {"drawn": 11.0, "size": 10.0})
-    patch = replace(made, notes=(drawn, Reason("surface unknown")))
-    said = " ".join(lines_of(of_finding.instructions(absorber, patch, made.room)))
-    assert said.count("11.00 m²") == 1
-    assert said.index("2. ") < said.index("11.00 m²") < said.index("3. ")

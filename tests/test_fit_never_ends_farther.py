@@ -179,27 +179,6 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
         assert after < 0.5 * before
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("factor", [1.5, 2.0])
-def test_of_coefficients_that_are_as_likely_those_with_the_smallest_gap_are_taken(factor):
-    """An error of the simulator that all bands share would else excuse a part of the gap."""
-    simulator = images(stated(PRIORS["usual"]))
-    common = 0.06 * np.random.default_rng(3).standard_normal((16, 1, 1, 1))
-    errors = common * np.array([1.0, 1.0, 16.0])[:, np.newaxis, np.newaxis] * np.ones((16, 3, 3, 2))
-    runs = ControlRuns(
-        parameters=MATCH, pairs=tuple(simulator.simulate(ALPHA).pairs), errors=errors
-    )
-    data = measured("images", factor * ALPHA)
-    result = fit("images", stated(PRIORS["usual"]), data, controls=runs)
-    likeliest = result.steps[-1].answer.alpha
-    heard = simulator.observe(likeliest, MATCH)
-    gap = rms(result.measured.gap(heard.values))
-    assert gap > 0.5
-    assert rms(result.gap_after) < 0.9 * gap
-    least = objective(result, heard, likeliest)
-    assert least - 0.01 < objective(result, result.matched.after, result.alpha) < least + 0.5
-
-
 @pytest.mark.parametrize("factor", [1 / 3, *also(1.0, 3.0)])
 @pytest.mark.parametrize("prior", ["wide", *also("tight", "usual")])
 def test_a_fitted_scattering_ends_no_farther_either(prior, factor):
@@ -224,22 +203,6 @@ def test_a_start_at_a_bound_is_left_towards_what_was_measured(name, alpha):
     result = fit(name, room, measured(name, ALPHA))
     assert rms(result.gap_after) < 0.3 * rms(result.gap_before)
     assert np.abs(result.alpha - 0.5).max() <= 0.5
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("factor", [1 / 3, 3.0])
-def test_a_t_that_the_prior_cannot_explain_is_said_first_and_not_bent_into_scattering(factor):
-    room = stated(PRIORS["tight"])
-    data = measured("paths", np.clip(factor * ALPHA, 0.02, 0.9))
-    result = fit("paths", room, data)
-    beyond = result.beyond
-    assert beyond.bands == beyond.of_bands == 2
-    assert np.sign(beyond.z) == np.sign(factor - 1)
-    k = BANDS.index(beyond.frequency)
-    truth = room.areas @ np.clip(factor * ALPHA, 0.02, 0.9)[:, k] / room.total_area
-    assert beyond.needed == pytest.approx(truth, rel=0.35)  # a mean alpha, by Sabine's law
-    assert result.scattering is None
-    assert fit("paths", stated(PRIORS["wide"]), data).beyond is None
 
 
 @pytest.mark.parametrize("name", ["paths", "images", "program", "equation"])

@@ -48,23 +48,6 @@ def test_without_an_active_bound_it_is_generalised_least_squares(n):
     assert result.certificate.worst < 1e-9
 
 
-def test_correlated_prior_and_a_weight_enter_as_they_should():
-    numbers = draw(1)
-    prior = terms.PriorDeviation(band_correlation=0.6)
-    problem = rt.Calibration(prior + 0.5 * TERM, []).build(ROOM)
-    result = problem.solve(None, observed={TERM: numbers})
-    correlation = np.kron(np.eye(3), [[1, 0.6], [0.6, 1]])
-    sigma = ROOM.sigma.ravel()
-    precision = np.linalg.inv(sigma[:, np.newaxis] * correlation * sigma)
-    expected = least_squares(
-        terms.Observed(
-            matrix=numbers.matrix, values=numbers.values, covariance=2 * numbers.covariance
-        ),
-        precision,
-    )
-    np.testing.assert_allclose(result.alpha.ravel(), expected, rtol=0, atol=1e-12)
-
-
 def test_bounds_and_other_terms_stand_beside_it():
     numbers = draw(2, 30, shift=-0.3)
     calibration = rt.Calibration(
@@ -78,38 +61,6 @@ def test_bounds_and_other_terms_stand_beside_it():
     exact = rt.Calibration(terms.PriorDeviation() + TERM, [terms.ExactMatch()]).build(ROOM)
     matched = exact.solve([0.6, 0.7], observed={TERM: draw(2, 30)})
     np.testing.assert_allclose(matched.reverberation_time_after, [0.6, 0.7], rtol=1e-9)
-
-
-def test_shared_materials_add_their_columns_up():
-    room = ROOM.replace(
-        alpha=[[0.2, 0.3], [0.2, 0.3], [0.15, 0.2]], sigma=[[0.04, 0.04]] * 2 + [[0.03, 0.03]]
-    )
-    numbers = draw(3)
-    shared = rt.Calibration(terms.PriorDeviation() + TERM, [terms.Shared("floor", "ceiling")])
-    result = shared.build(room).solve(None, observed={TERM: numbers})
-    one = numbers.matrix.reshape(-1, 3, 2)
-    columns = np.concatenate([(one[:, 0] + one[:, 1]), one[:, 2]], axis=1)
-    sigma, mu = np.array([0.04, 0.04, 0.03, 0.03]), np.array([0.2, 0.3, 0.15, 0.2])
-    inverse = np.linalg.inv(numbers.covariance)
-    expected = np.linalg.solve(
-        columns.T @ inverse @ columns + np.diag(1 / sigma**2),
-        columns.T @ inverse @ numbers.values + mu / sigma**2,
-    )
-    np.testing.assert_allclose(result.alpha[[0, 2]].ravel(), expected, rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(result.alpha[0], result.alpha[1])
-
-
-def test_posterior_sigma_is_that_of_the_gaussian():
-    numbers = draw(4, 30)
-    result = (
-        rt.Calibration(terms.PriorDeviation() + TERM, [])
-        .build(ROOM)
-        .solve(None, observed={TERM: numbers})
-    )
-    information = numbers.matrix.T @ np.linalg.solve(numbers.covariance, numbers.matrix)
-    covariance = np.linalg.inv(information + np.diag(1 / ROOM.sigma.ravel() ** 2))
-    expected = np.sqrt(np.diag(covariance)).reshape(ROOM.sigma.shape)
-    np.testing.assert_allclose(result.joint.posterior_sigma, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -184,18 +184,6 @@ def test_matching_weighs_the_decay():
     assert match(modes, close, np.array([0.5, 5.0])).calculated.tolist() == [1]
 
 
-@pytest.mark.long
-def test_modes_that_contradict_are_marked():
-    modes, rng = heard(TRUTH), np.random.default_rng(0)
-    good = rt.calibrate_modes(ROOM, modes)
-    assert good.plausibility.p_value > 0.05
-    assert "implausible_modes" not in {m.kind for m in good.trust_marks}
-    factor = np.where(rng.random(modes.decays.size) < 0.5, 1.8, 1 / 1.8)
-    bad = rt.calibrate_modes(ROOM, replace(modes, decays=modes.decays * factor))
-    assert bad.plausibility.p_value < 1e-6
-    assert "implausible_modes" in {m.kind for m in bad.trust_marks}
-
-
 def test_uncertainty_of_t_counts():
     t, modes = times(TRUTH), heard(TRUTH)
     sure, unsure = (

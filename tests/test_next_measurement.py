@@ -15,10 +15,8 @@ from rtcal.finder.claim import Reason
 from rtcal.finder.effects import checked_effects
 from rtcal.finder.means.planning import COSTS, Information, extended, possible
 from rtcal.finder.means.problem import Moments
-from rtcal.finder.search import find
 from rtcal.report.finding_words import CHECKS
-from tests.test_discrepancy import controls_of
-from tests.test_several_effects import BOTH, FEW, case_with, compared
+from tests.test_several_effects import BOTH, case_with, compared
 
 
 def two(apart: float, correlation: float = 0.0) -> Moments:
@@ -98,18 +96,6 @@ def test_a_plan_proposes_the_most_information_per_hour_and_then_goes_on() -> Non
     assert dear.proposals[-1].kind == before.proposals[0].kind
     assert "per hour" in str(before)
     assert json.loads(json.dumps(before.to_dict(), allow_nan=False))["sequence"]
-
-
-@pytest.mark.long
-def test_a_plan_goes_on_from_a_finding() -> None:
-    case = case_with(*BOTH).only("t20")
-    found = find(case, only=FEW, controls=controls_of(case, 0.01), most=3)
-    after = plan(case, finding=found)
-    assert sum(p for _, p in found.likely) == pytest.approx(1)
-    # A noise floor shows in the decay's shape, which T20 alone has not told.
-    best = max(after.proposals, key=lambda p: p.information)
-    assert best.kind in ("EDT and T30", "more positions", "G", "removed", "covered")
-    assert after.uncertainty < plan(case).uncertainty
 
 
 def test_each_effect_that_cannot_be_taken_out_has_a_way_to_confirm_it() -> None:

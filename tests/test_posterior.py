@@ -71,20 +71,6 @@ def test_a_coefficient_that_the_match_determines_has_a_point_interval(sigma: lis
     np.testing.assert_allclose(saved, result.alpha[:, np.newaxis].repeat(2, 1), rtol=1e-12)
 
 
-@pytest.mark.parametrize("target", [5.5, 100.0])
-def test_an_unreachable_target_leaves_one_answer(target: float) -> None:
-    room = single_band([30.0, 20.0, 10.0], 0.3, [0.05] * 3)
-    room = room.replace(alpha_min=np.full((3, 1), 0.1))
-    time = rt.Sabine().time(room, np.array([target]))
-    result = rt.calibrate(room, time, equation=rt.Sabine(), unreachable="nearest")
-    np.testing.assert_array_equal(result.alpha, 0.1 if target < 6 else 1.0)
-    found = distribution(result)
-    for end in found.interval(0.9):
-        np.testing.assert_allclose(end, result.alpha, rtol=1e-14)
-    np.testing.assert_array_equal(found.sigma, 0)
-    assert np.isfinite(found.identifiability).all()
-
-
 def test_samples_keep_to_every_constraint() -> None:
     rng = np.random.default_rng(6)
     room = random_room(rng, 4, 3)

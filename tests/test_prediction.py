@@ -331,36 +331,6 @@ def test_without_a_measurement_the_error_of_t_before_counts() -> None:
     assert "At 1000 Hz T before was not measured" in " ".join(str(partly).split())
 
 
-@pytest.mark.long
-def test_a_second_state_narrows_and_corrects() -> None:
-    """The panel's alpha is 0.5 in truth, not 0.85: one state cannot tell, two can."""
-    room = a_room(4)
-    stated = rt.Material("panel", [0.85] * 3, [0.15] * 3)
-    truth = rt.Material("panel", [0.5] * 3, [0.15] * 3)
-
-    def time(area: float) -> np.ndarray:
-        return rt.Eyring().reverberation_time(
-            changed(room, Change(cover="walls", by=truth, area=area))
-        )
-
-    some = changed(room, Change(cover="walls", by=stated, area=10))
-    one = rt.calibrate(room, rt.Eyring().reverberation_time(room)).predict(
-        Change(cover="walls", by=stated, area=25)
-    )
-    joint = rt.calibrate(
-        rt.Configurations([room, some], ["bare", "some panels"]),
-        [rt.Eyring().reverberation_time(room), time(10)],
-        method="joint",
-    )
-    two = joint.results[0].predict(Change(cover="walls", by=stated, area=25))
-    assert len(two.known.others) == 1
-    assert (two.half_width < 0.85 * one.half_width).all()
-    other = joint.results[1].predict([])
-    assert other.mean == pytest.approx(joint.results[1].reverberation_time_after)
-    errors = [np.abs(np.log(p.mean / time(25))) for p in (one, two)]
-    assert (errors[1] < 0.6 * errors[0]).all()
-
-
 def test_parts_add_up_and_the_largest_is_first(result) -> None:
     made = result.predict(Change(cover="walls", by=PANEL, area=12))
     assert sum(made.parts.values()) == pytest.approx(np.ones(3), abs=1e-12)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 from unittest.mock import Mock
 
 import numpy as np
@@ -14,7 +13,7 @@ import rtcal as rt
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.finder import Case, ChangedMaterial, Configuration, library
 from rtcal.finder.claim import by_family, conclude
-from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
+from rtcal.finder.effects import Audience, Opening, People
 from rtcal.finder.evidence import SHARPER, log_mixture, prior_of, probability_off
 from rtcal.finder.means import problem as bootstrap
 from rtcal.finder.means.engines import ControlRooms
@@ -114,25 +113,6 @@ def test_probabilities_sum_to_one_and_families_hold_their_members() -> None:
     assert families["added absorption"] == pytest.approx(flat + rising + low)
     total = sum(v for k, v in families.items() if k != "added absorption")
     assert total == pytest.approx(1)
-
-
-@dataclass(frozen=True)
-class FineOpening(Opening):
-    steps: ClassVar[int] = 2 * Opening.steps - 1
-
-
-@dataclass(frozen=True)
-class FineVolume(WrongVolume):
-    steps: ClassVar[int] = 2 * WrongVolume.steps - 1
-
-
-@pytest.mark.long
-def test_a_grid_twice_as_fine_changes_no_probability() -> None:
-    case = louder()
-    coarse = find(case, effects=[Opening(), WrongVolume(), CoupledRoom()], controls=controls(case))
-    fine = find(case, effects=[FineOpening(), FineVolume(), CoupledRoom()], controls=controls(case))
-    for name, p in coarse.probabilities.items():
-        assert fine.probabilities[name] == pytest.approx(p, abs=0.02), name
 
 
 def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() -> None:

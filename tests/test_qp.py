@@ -114,20 +114,6 @@ def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit() -> None:
     assert at_bound == 6
 
 
-def test_the_start_is_the_closed_form_of_the_paper() -> None:
-    """Without its inequalities the QP is one linear system: Bellows & Katz 2025, Eqs. 22 to 25."""
-    from rtcal.calibration.qp import closed_form
-
-    (room, t), *_ = cases(1, 12, 8)
-    joint = rt.calibrate(room, t).joint
-    start = joint.qp.unknowns(joint.numbers, closed_form(joint.qp).v)
-    oracle = rt.exact.maximum_likelihood(
-        room.alpha, room.sigma, room.areas, joint.numbers.target[0]
-    )
-    assert np.all((oracle > 0) & (oracle < 1))
-    np.testing.assert_allclose(start.reshape(oracle.shape), oracle, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("method", ["mle", "lse"])
 def test_osqp_starts_at_the_optimum_also_where_an_end_holds_coefficients(method: str, cr2) -> None:
     room, _ = cr2

@@ -14,7 +14,6 @@ from scipy.stats import multivariate_t
 import rtcal as rt
 from rtcal.finder import Case, Configuration, Effect, Finding, library
 from rtcal.finder import evidence as densities
-from rtcal.finder.claim import numbers_of
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.evidence import DEGREES, UNKNOWN, prior_of
 from rtcal.finder.means import problem
@@ -32,7 +31,6 @@ from rtcal.finder.means.problem import (
     log_prior,
     moments,
     observe,
-    posterior_of_sets,
     predict_hypotheses,
     state,
 )
@@ -135,16 +133,6 @@ def at_the_points(c: MeansProblem) -> MeansProblem:
     return replace(c, cells=np.zeros_like(c.cells))
 
 
-@pytest.mark.long
-def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
-    """The record is 1.5 or 2.5 reverberation times long on the grid."""
-    case = case_with(AppliedEffect("noise floor", {"level": -35.0, "record": 2.0}))
-    c = compared_case(case, library())
-    prior = prior_of(case.room, library(), {})
-    assert sum(numbers_of(posterior_of_sets(c, prior, most=2).sets)[2:]) < 0.05
-    assert sum(numbers_of(posterior_of_sets(at_the_points(c), prior, most=2).sets)[2:]) > 0.1
-
-
 def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(densities, "COARSENING", np.inf)
     c = at_the_points(compared(*BOTH))
@@ -238,28 +226,6 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
         found.apply()
 
 
-@pytest.mark.long
-def test_a_family_alone_is_not_called_a_name() -> None:
-    """The single search says "family" as well."""
-    coupled = AppliedEffect("coupled room", {"aperture": 10.0, "volume": 400.0, "alpha": 0.05})
-    found = sought(case_with(coupled), ("coupled room", "non-diffuse field", "volume", "air"))
-    assert found.named == ()
-    assert found.named_families == ("field",)
-    assert found.verdict == "family"
-    assert found.apply().case.applied
-
-
-@pytest.mark.long
-def test_an_unknown_effect_is_said_to_be_unknown() -> None:
-    """Where the user's odds leave nothing else, no set of the library is called the most probable."""
-    found = sought(case_with(*BOTH), prior={UNKNOWN: 1e40})  # type: ignore[arg-type]
-    assert found.probabilities[UNKNOWN] > 0.9
-    assert found.verdict == "unknown"
-    assert not found.can_be_added
-    with pytest.raises(DataError, match='verdict "unknown"'):
-        found.apply()
-
-
 def test_a_shaded_direct_sound_is_no_second_effect() -> None:
     """Furniture between source and receiver: C80 and G are lower than any formula says."""
     furniture = AppliedEffect("furniture", {"absorption_area": 20.0})
@@ -292,28 +258,6 @@ def test_alpha_is_the_posterior_mean_of_the_linear_model() -> None:
     expected = ALPHA + np.tensordot(explained, across, axes=1)
     np.testing.assert_allclose(averaged_alpha(c, [(rows, 1.0)]), expected, atol=1e-6)
     assert np.abs(expected - ALPHA).max() > 1e-4
-
-
-@pytest.mark.long
-def test_three_effects_are_tried_where_two_do_not_explain_the_measurement() -> None:
-    air = AppliedEffect("air", {"temperature": 30.0, "humidity": 8.0})
-    noise = AppliedEffect("noise floor", {"level": -45.0, "record": 2.0})
-    case = case_with(AppliedEffect("volume", {"ratio": 1.7}), air, noise)
-    only = ("volume", "air", "noise floor", "non-diffuse field")
-    assert set(sought(case, only).members) == {"volume", "air", "noise floor"}
-    assert len(sought(case, only, most=2).members) == 2
-
-
-@pytest.mark.long
-def test_odds_of_none_are_those_of_no_effect_against_a_poisson_number() -> None:
-    """The evidence of sets with one number does not depend on the prior of that number."""
-    case = case_with()
-    few, many = (
-        find(case, only=FEW, controls=controls_of(case, 0.01), most=2, prior={"none": odds}).numbers
-        for odds in (9.0, 1 / 9)
-    )
-    ratio = (few[0] / few[1]) / (many[0] / many[1])
-    assert ratio == pytest.approx(np.log1p(9) / np.log1p(1 / 9))
 
 
 def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:

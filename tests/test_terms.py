@@ -242,13 +242,6 @@ def test_a_constraint_is_violated_by_as_much_as_it_should(name: str, seed: int) 
     np.testing.assert_allclose(np.sum(violations, axis=0), wanted, atol=1e-9)
 
 
-def test_a_soft_match_weighs_by_the_derivative_of_b() -> None:
-    numbers = numbers_of(0, terms.SoftMatch(0.05))
-    t, room = numbers.time[1], numbers.rooms[1]
-    slope = (EYRING.target(room, t * 1.001) - EYRING.target(room, t * 0.999)) / 0.002
-    np.testing.assert_allclose(numbers.target_uncertainty[1], np.abs(0.05 * slope), rtol=1e-4)
-
-
 @pytest.mark.parametrize("term", [CORRELATED, BOTH, terms.HuberDeviation()])
 def test_a_prior_is_as_convex_as_it_claims(term: Any) -> None:
     numbers = numbers_of(1)

@@ -12,7 +12,7 @@ from rtcal.finder import PositionsCase
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
 from rtcal.finder.positions.surfaces import patched
-from rtcal.simulators import ImageSource, PathTracing, Polyhedron
+from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 from tests.conftest import also, in_geometry
@@ -162,27 +162,3 @@ def test_a_wrong_place_is_refused(
 ) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
         corrected_geometry(box, candidate("east", 6.0), **options)  # type: ignore[arg-type]
-
-
-def mean_t(simulator: object, alpha: np.ndarray) -> np.ndarray:
-    return np.asarray(simulator.simulate(alpha, seed=2).mean("t20"))  # type: ignore[attr-defined]
-
-
-def test_every_simulator_has_the_corrections_t(box: PositionsCase) -> None:
-    """T falls as in Eyring's formula, within what placing the absorber on one wall changes."""
-    patch = corrected_geometry(box, candidate("east", 8.0))
-    wall = corrected_geometry(box, candidate("east", 8.0), "material")
-    wanted = rt.Eyring().reverberation_time(wall.room) / rt.Eyring().reverberation_time(box.room)
-    assert (wanted < 0.85).all()
-
-    def falls(before: object, after: object, room: rt.Room) -> None:
-        ratio = mean_t(after, room.alpha) / mean_t(before, box.room.alpha)
-        assert ratio == pytest.approx(wanted, rel=0.12), type(after).__name__
-
-    for made in (patch, wall):
-        falls(box.simulator, made.simulator(), made.room)
-    places = {"sources": SOURCES, "receivers": RECEIVERS}
-    image = ImageSource(room=box.room, **places, duration=1.5)
-    falls(image, ImageSource(room=wall.room, **places, duration=1.5), wall.room)
-    with pytest.raises(DataError, match="has no dimensions"):
-        ImageSource(room=patch.room, **places, duration=1.5)

@@ -26,7 +26,7 @@ from rtcal.finder.means import engines
 from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import simulated_controls
 from rtcal.support import workers
-from rtcal.support.errors import ClusterError, DataError, MissingDependencyError, TooShortError
+from rtcal.support.errors import ClusterError, MissingDependencyError, TooShortError
 from rtcal.support.workers import workforce
 from tests.conftest import run
 from tests.test_where import measured, stated, tracing
@@ -120,11 +120,6 @@ def test_a_task_that_ends_every_worker_is_refused(cluster: Any, tmp_path: Path) 
             [*some.in_order(task, range(2))]
 
 
-def test_a_worker_of_another_version_is_refused() -> None:
-    with pytest.raises(ClusterError, match=r"a worker has rtcal .* this machine rtcal 0\.0"):
-        workers._on_worker("0.0", square, 1)
-
-
 # Schedulers that cannot be used -------------------------------------------------------------------
 
 
@@ -160,17 +155,6 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[cluster\]'"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler="tcp://node1:8786")
-
-
-def test_threads_and_a_scheduler_exclude_each_other() -> None:
-    with pytest.raises(DataError, match=r"workers = 2 \(of this machine\) and a scheduler"):
-        studies.run(SHOEBOX, 0.05, 2, 2, scheduler="tcp://node1:8786", workers=2)
-
-
-def test_two_states_have_no_work_for_a_cluster(tmp_path: Path) -> None:
-    room, data = rt.datasets.bras_cr2()
-    with pytest.raises(DataError, match="scheduler cannot be used in a search for what changed"):
-        rt.find(room, data, before=data, scheduler="tcp://node1:8786")
 
 
 # The same numbers ---------------------------------------------------------------------------------

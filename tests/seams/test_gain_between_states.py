@@ -54,17 +54,6 @@ def test_another_gain_in_one_state_is_said_first_and_the_level_left_out(
 
 
 @pytest.mark.long
-def test_the_gain_of_one_source_leaves_out_its_level_alone(
-    states: tuple[rt.Measurement, rt.Measurement],
-) -> None:
-    before, after = states
-    got, other = (found(before, with_gain(after, {"S2": gain})) for gain in (5.0, 50.0))
-    assert [*got.reasons[0].values["gains"]] == ["S2"]
-    assert other.surfaces == pytest.approx(got.surfaces, abs=1e-9)
-    assert got.identified_surfaces == ("east",)
-
-
-@pytest.mark.long
 def test_one_gain_in_both_states_changes_nothing(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 import rtcal as rt
 from benchmarks.studies.calibrations import interval_coverage
-from rtcal import terms
 from rtcal.calibration.posterior import distribution
 from tests.conftest import also, room_of
 
@@ -80,42 +79,6 @@ def test_the_interval_holds_its_own_value(method: str, seed: int) -> None:
     assert ((low >= 0) & (high <= 1)).all()
     other = distribution(result).interval(0.5)
     assert ((other[0] <= result.alpha) & (result.alpha <= other[1])).all()
-
-
-def test_some_of_these_values_stand_at_a_bound() -> None:
-    """0.857 to 0.997 was once said of a coefficient at 1."""
-    stated = room(1, 0.9, 0.2)
-    t = 0.8 * rt.Sabine().time(stated, stated.absorption_area)
-    result = rt.calibrate(stated, measured(t, 0.1), "soft", rt.Sabine())
-    assert (result.active == 1).all()
-    np.testing.assert_array_equal(result.interval[1], 1.0)
-    assert (result.interval[0] < 0.98).all()
-
-
-def test_samples_have_the_uncertainty_of_time_too() -> None:
-    """A constraint that never binds leaves the same distribution."""
-    stated = room(4)
-    t = measured(EYRING.time(stated, 1.05 * stated.absorption_area), 0.1)
-    loose = [terms.ExactMatch(), terms.GroupAbsorption(["m0"], most=10_000.0)]
-    drawn = rt.Calibration(terms.PriorDeviation(), loose).build(stated).solve(t)
-    known, exact = distribution(drawn), distribution(rt.calibrate(stated, t))
-    np.testing.assert_allclose(known.sigma, exact.sigma, rtol=0.06)
-    np.testing.assert_allclose(known.mean, exact.mean, atol=0.1 * exact.sigma.max())
-    np.testing.assert_allclose(known.correlation, exact.correlation, atol=0.1)
-    np.testing.assert_allclose(drawn.posterior_sigma, exact.sigma, rtol=2e-3)
-
-
-def test_observations_that_say_nothing_leave_the_uncertainty_of_time() -> None:
-    stated = room(3)
-    t = measured(EYRING.time(stated, 1.05 * stated.absorption_area), 0.1)
-    vague = terms.Observed(
-        matrix=np.eye(6), values=stated.alpha.ravel(), covariance=1e6 * np.eye(6)
-    )
-    heard = terms.LinearObservations()
-    problem = rt.Calibration(terms.PriorDeviation() + heard, [terms.ExactMatch()]).build(stated)
-    result = problem.solve(t, observed={heard: vague})
-    wanted = rt.calibrate(stated, t).posterior_sigma
-    np.testing.assert_allclose(result.posterior_sigma, wanted, rtol=1e-6)
 
 
 def test_an_unknown_uncertainty_counts_as_none() -> None:

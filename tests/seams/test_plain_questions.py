@@ -9,23 +9,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.prediction import words
 from rtcal.support.errors import DataError
-
-
-def ran(capsys: pytest.CaptureFixture[str], *stated: object, code: int = 0) -> str:
-    """What a command prints on one line, with its errors first."""
-    given = [str(word) for word in stated]
-    done = 0
-    try:
-        done = int(main(given) or 0)
-    except SystemExit as stop:
-        done = int(stop.code or 0)
-    out, err = capsys.readouterr()
-    assert done == code, (given, err, out)
-    return " ".join((err + out).split())
+from tests.conftest import Commands
 
 
 def example(name: str, folder: Path) -> Path:
@@ -38,36 +25,30 @@ def example(name: str, folder: Path) -> Path:
 MEANS = "source,receiver,parameter,band,value\n"
 
 
-def test_a_column_that_may_be_the_position_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_column_that_may_be_the_position_is_asked_for(tmp_path: Path, rtcal: Commands) -> None:
     path = tmp_path / "t.csv"
     path.write_text("wo;T20 500;T20 1000\nfoyer;1,62;1,41\nbar;1,60;1,40\n")
-    said = ran(capsys, "table", path, code=2)
+    said = rtcal.refused("table", path)
     found = re.search(r'--columns "([^"]*)"', said)
     assert found
     assert found[1] == "from line 2 to 3: ?; T20 at 500 Hz; T20 at 1000 Hz"
     assert "given twice" not in said
-    ran(capsys, "table", path, "--columns", found[1].replace("?", "receiver"))
+    rtcal("table", path, "--columns", found[1].replace("?", "receiver"))
 
 
-def test_bands_of_which_some_are_in_khz_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bands_of_which_some_are_in_khz_are_refused(tmp_path: Path, rtcal: Commands) -> None:
     """They were left out as bands that the room lacks, and the others calibrated."""
     folder = example("room", tmp_path)
     path = folder / "t.csv"
     path.write_text(re.sub(r"T30,(\d)000", r"T30,\1", path.read_text()))
-    said = ran(capsys, "calibrate", folder / "room.toml", path, code=2)
+    said = rtcal.refused("calibrate", folder / "room.toml", path)
     assert "1, 2 and 4 Hz and also 125, 250 and 500 Hz, so some are probably in kHz" in said
     rt.Measurement.from_values([4, 8, 16, 31.5, 63], t20=np.ones(5))  # each octave is there
 
 
-def test_a_list_in_the_place_of_the_room_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_list_in_the_place_of_the_room_is_named(tmp_path: Path, rtcal: Commands) -> None:
     room, hall = example("room", tmp_path) / "room.toml", example("program", tmp_path) / "hall.geo"
-    said = ran(capsys, "export", "catt", hall, room, code=2)
+    said = rtcal.refused("export", "catt", hall, room)
     assert said.endswith(f"Exchange the two files: rtcal export catt {room} {hall}")
 
 
@@ -88,19 +69,19 @@ area = 40
 
 
 def test_the_directions_of_a_mesh_are_those_of_every_command(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, rtcal: Commands
 ) -> None:
     """`predict` said that the room does not give the axes, where `calibrate` had them from its mesh."""
     folder = example("where", tmp_path)
     room, change, t = folder / "room.toml", folder / "change.toml", folder / "t.csv"
     change.write_text(CHANGE)
     t.write_text(MEANS + "".join(f"*,*,T20,{f},1.0\n" for f in (250, 500, 1000, 2000)))
-    assert "the absorption is uneven" in ran(capsys, "calibrate", room, t, "--out", folder / "cal")
-    from_file = ran(capsys, "predict", room, t, "--change", change)
+    assert "the absorption is uneven" in rtcal("calibrate", room, t, "--out", folder / "cal")
+    from_file = rtcal("predict", room, t, "--change", change)
     assert "does not give the axes" not in from_file
     assert "the absorption is uneven" in from_file
-    assert ran(capsys, "predict", folder / "cal", "--change", change) == from_file
-    stated = ran(capsys, "predict", room, "--change", change)
+    assert rtcal("predict", folder / "cal", "--change", change) == from_file
+    stated = rtcal("predict", room, "--change", change)
     assert "does not give the axes" not in stated
     # So they are in Python.
     read, measured = rt.Room.from_file(room), rt.Measurement.from_file(t)
@@ -123,36 +104,30 @@ def test_a_change_after_which_the_areas_do_not_fit_the_volume_is_doubted(cr2) ->
     assert [mark.kind for mark in made.doubts] == ["surface_typing_error"]
 
 
-def test_a_response_that_is_given_twice_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_response_that_is_given_twice_is_said(tmp_path: Path, rtcal: Commands) -> None:
     """One recording under four names was a mean over four positions."""
     folder = example("responses", tmp_path)
     one, other = folder / "S1_R1.wav", folder / "S1_R2.wav"
     out = folder / "t.csv"
-    said = ran(capsys, "measure", one, other, "--bands", "250,500,1000", "--out", out)
-    assert "every value of" not in said
-    assert "every value of" not in ran(capsys, "table", out)
+    measured = ("measure", one, other, "--bands", "250,500,1000", "--out")
+    assert "every value of" not in rtcal(*measured, out) + rtcal.warned
+    assert "every value of" not in rtcal("table", out) + rtcal.warned
     other.write_bytes(one.read_bytes())
     again = folder / "twice.csv"
     twice = "every value of S1 to R2 equals that of S1 to R1"
-    assert twice in ran(capsys, "measure", one, other, "--bands", "250,500,1000", "--out", again)
-    assert twice in ran(capsys, "table", again)
+    assert twice in rtcal(*measured, again) + rtcal.warned
+    assert twice in rtcal("table", again) + rtcal.warned
 
 
-def test_a_table_that_is_given_twice_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_table_that_is_given_twice_is_refused(tmp_path: Path, rtcal: Commands) -> None:
     """It was read once, without a word."""
     folder = example("room", tmp_path)
     path = folder / "t.csv"
-    said = ran(capsys, "table", path, folder / "." / "t.csv", code=2)
+    said = rtcal.refused("table", path, folder / "." / "t.csv")
     assert "t.csv is given twice: give each table once" in said
 
 
-def test_a_repeated_command_writes_the_same_bytes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_repeated_command_writes_the_same_bytes(tmp_path: Path, rtcal: Commands) -> None:
     """The solver's time was in result.json."""
     folder = example("change", tmp_path)
     room, t = folder / "room.toml", folder / "t.csv"
@@ -165,7 +140,7 @@ def test_a_repeated_command_writes_the_same_bytes(
         written = []
         for time in ("first", "second"):
             out = folder / f"{name} {time}"
-            ran(capsys, name, *given, "--out", out)
+            rtcal(name, *given, "--out", out)
             every = [path for path in sorted(out.iterdir()) if path.name[0] != "."]
             written.append({path.name: path.read_bytes() for path in every})
         first, second = written
@@ -181,9 +156,7 @@ def variants(*own: tuple[str, list[str]]) -> str:
     )
 
 
-def test_air_that_the_room_lacks_is_no_change(
-    cr2, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_air_that_the_room_lacks_is_no_change(cr2, tmp_path: Path, rtcal: Commands) -> None:
     """All absorption of the air was a change, of a room whose measured T contained it."""
     room, measured = cr2
     found, bare = rt.calibrate(*cr2), rt.calibrate(room.with_air(None), measured)
@@ -199,47 +172,40 @@ def test_air_that_the_room_lacks_is_no_change(
     path, change = folder / "room.toml", folder / "own.toml"
     path.write_text(re.sub(r"\[air\][^\[]*", "", path.read_text()))
     change.write_text(variants(("air", ["air = {temperature = 26, humidity = 60}"])))
-    said = ran(capsys, "predict", path, folder / "t.csv", "--change", change, code=2)
+    said = rtcal.refused("predict", path, folder / "t.csv", "--change", change)
     assert 'variant "air"' in said
 
 
 def test_a_sentence_of_several_variants_is_printed_once_and_the_next_step_last(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, rtcal: Commands
 ) -> None:
     folder = example("change", tmp_path)
     change = folder / "own.toml"
     some = [(f"{volume} m³", [f"volume = {volume}"]) for volume in (150, 160)]
     change.write_text(variants(("as it is", []), *some))
-    said = ran(capsys, "predict", folder / "room.toml", folder / "t.csv", "--change", change)
+    said = rtcal("predict", folder / "room.toml", folder / "t.csv", "--change", change)
     assert said.count(words.GIVEN) == 1
     assert f"150 m³, 160 m³: {words.GIVEN}" in said
     assert words.GIVEN in said[: said.index("Next")]
 
 
 def test_a_room_calibrated_by_one_equation_has_its_t_by_that_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, rtcal: Commands
 ) -> None:
     """The calibrated room had 5 % less than the measured T where nothing was changed."""
     folder = example("change", tmp_path)
     change = folder / "own.toml"
     change.write_text(variants(("as it is", [])))
     made = folder / "made"
-    ran(
-        capsys,
-        "calibrate",
-        folder / "room.toml",
-        folder / "t.csv",
-        "--equation",
-        "sabine",
-        "--out",
-        made,
+    rtcal(
+        "calibrate", folder / "room.toml", folder / "t.csv", "--equation", "sabine", "--out", made
     )
-    said = ran(capsys, "predict", made / "room.toml", "--change", change, code=2)
+    said = rtcal.refused("predict", made / "room.toml", "--change", change)
     assert "was calibrated with the equation Sabine" in said
-    ran(capsys, "predict", made / "room.toml", "--change", change, "--equation", "sabine")
-    said = ran(capsys, "predict", made, "--change", change, "--equation", "eyring", code=2)
+    rtcal("predict", made / "room.toml", "--change", change, "--equation", "sabine")
+    said = rtcal.refused("predict", made, "--change", change, "--equation", "eyring")
     assert "has its own equation. Leave --equation out" in said
-    ran(capsys, "predict", made, "--change", change)
+    rtcal("predict", made, "--change", change)
 
 
 def test_a_design_says_what_its_probability_leaves_out_and_names_no_areas_in_vain(cr2) -> None:
