@@ -1,7 +1,5 @@
 """Headless Chromium, for tests of what a reader sees."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

@@ -1,10 +1,8 @@
 """Shared by all tests: one derandomised Hypothesis profile, and where the extra data lie."""
 
-from __future__ import annotations
-
 import gc
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +41,7 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture
-def shared_data() -> Path:
+def shared_data():
     """The folder with data that are not part of the package."""
     if not SHARED.is_dir():
         pytest.skip(f"needs the shared data folder {SHARED.name}/ beside the checkout")
@@ -51,7 +49,7 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def kept(tmp_path_factory):
     """A folder for reference simulations and weighings, one for all tests and processes of a run.
 
     What is kept has the name of all that it depends on, and is written whole: no process waits.
@@ -63,7 +61,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def runs_kept(kept: Path) -> Iterator[None]:
+def runs_kept(kept):
     """Let commands keep reference rooms in `kept`, instead of beside each test's own files."""
     from rtcal.finder.means import engines
 
@@ -73,19 +71,19 @@ def runs_kept(kept: Path) -> Iterator[None]:
 
 
 @pytest.fixture
-def cr2() -> tuple[rt.Room, rt.Measurement]:
+def cr2():
     """The shipped real room and its measurement."""
     return rt.datasets.bras_cr2()
 
 
 @pytest.fixture
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_draws(monkeypatch):
     """Draw 1024 rooms of each prediction, for what holds in every draw."""
     monkeypatch.setattr(changed_time, "DRAWS", 1024)
 
 
 @pytest.fixture
-def compilations(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+def compilations(monkeypatch):
     """Every time that cvxpy builds the chain of reductions, which is what compiling is."""
     rt.calibration.forget()
     seen: list[object] = []
@@ -135,7 +133,7 @@ class Commands:
 
 
 @pytest.fixture
-def rtcal(capsys: pytest.CaptureFixture[str]) -> Commands:
+def rtcal(capsys):
     return Commands(capsys)
 
 

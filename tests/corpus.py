@@ -4,8 +4,6 @@ Written after what measuring systems, spreadsheets and acoustics programs export
 separators, line ends, decimal commas, units, merged headers and notes.
 """
 
-from __future__ import annotations
-
 import io
 import tomllib
 from collections.abc import Callable, Mapping, Sequence

@@ -3,8 +3,6 @@
 The optimum is solved in rational arithmetic: the truth that `alpha_error_bound` is held against.
 """
 
-from __future__ import annotations
-
 from fractions import Fraction
 from functools import cache
 

@@ -3,8 +3,6 @@
 Events are the calls of the operating system that `rtcal.files.disk` makes to write.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 from collections.abc import Callable, Iterator

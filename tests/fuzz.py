@@ -1,7 +1,5 @@
 """Broken files for every reader: what they are made from, and what must hold of each."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import struct

@@ -1,7 +1,5 @@
 """rtcal's own files for the fuzzers: good ones of each kind, how they are read, and what must hold."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile

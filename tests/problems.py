@@ -1,7 +1,5 @@
 """Random calibration problems of one band, of every kind that has tripped a solver."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

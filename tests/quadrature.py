@@ -4,8 +4,6 @@ The density of a sum is built by adding one truncated normal after the other, th
 Gauss-Legendre quadrature between cubic splines. No transform and no common grid.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ a(D) = clip(mu - D S sigma², lower, upper) with one D, and S'a(D) falls in D pi
 piece that holds b is found by bisection over its breakpoints and solved exactly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Literal

@@ -1,7 +1,5 @@
 """The API pages show what is public, each name once, and nothing else (`mkdocs_public.py`)."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from collections import Counter
@@ -43,7 +41,7 @@ def shown(entry: str) -> list[str]:
     return [head.path for head in heads if head.has_docstrings]
 
 
-def test_every_public_name_is_on_one_page() -> None:
+def test_every_public_name_is_on_one_page():
     times = Counter(name for entry in entries() for name in shown(entry))
     assert {name for name, n in times.items() if n > 1} == set()
     public = mkdocs_public.public_names(package())
@@ -54,7 +52,7 @@ def test_every_public_name_is_on_one_page() -> None:
             assert f"{value.__module__}.{value.__qualname__}" in times, path
 
 
-def test_a_page_shows_nothing_that_is_neither_exported_nor_named() -> None:
+def test_a_page_shows_nothing_that_is_neither_exported_nor_named():
     """A name stands in a public list, in a page's text, or in the signature of a public function."""
     text = re.sub("^:::.*", "", "\n".join(mkdocs_public.API + mkdocs_public.GUIDES), flags=re.M)
     values = public_names()
@@ -67,16 +65,16 @@ def test_a_page_shows_nothing_that_is_neither_exported_nor_named() -> None:
     assert [name for name in names if name.rpartition(".")[2] not in known] == []
 
 
-def test_every_entry_shows_something() -> None:
+def test_every_entry_shows_something():
     assert [entry for entry in entries() if not shown(entry)] == []
 
 
-def test_the_overview_has_every_name_of_the_top_level() -> None:
+def test_the_overview_has_every_name_of_the_top_level():
     overview = (ROOT / "docs" / "api" / "index.md").read_text(encoding="utf-8")
     assert [name for name in rt.__all__ if f"`rt.{name}`" not in overview] == []
 
 
-def test_a_member_that_needs_what_no_user_has_is_not_shown() -> None:
+def test_a_member_that_needs_what_no_user_has_is_not_shown():
     room = package()["acoustics.room.Room"]
     assert room["absorption_area"].public
     assert not room["of_table"].public  # it takes a `RoomFile`

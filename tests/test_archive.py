@@ -1,7 +1,5 @@
 """`rtcal.learn`: the model by dense algebra, what it finds, its library, its command, bad input."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -118,7 +116,7 @@ def test_a_material_that_is_another_is_named():
 
 
 @pytest.fixture(scope="module")
-def rooms() -> list[rt.calibration.CalibrationResult]:
+def rooms():
     room, _ = rt.datasets.bras_cr2()
     room = room.replace(surfaces=())
     t = 1.2 * rt.Eyring().reverberation_time(room)

@@ -1,9 +1,6 @@
 """Bad input: a typed error that names the place, the value and the rule; the command exits 2."""
 
-from __future__ import annotations
-
 import itertools
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -51,12 +48,12 @@ GOOD = {
         ({"alpha": SimpleNamespace(to_numpy=list)}, "alpha is a table with labels"),
     ],
 )
-def test_room(change: dict, place: str) -> None:
+def test_room(change, place):
     with pytest.raises(DataError, match=place):
         rt.Room(**{**GOOD, **change})
 
 
-def test_a_mapping_in_another_order_is_put_in_the_room_s() -> None:
+def test_a_mapping_in_another_order_is_put_in_the_room_s():
     plain = rt.Room(**GOOD)
     alpha = {"carpet": GOOD["alpha"][1], "wall": GOOD["alpha"][0]}
     labelled = rt.Room(**{**GOOD, "alpha": alpha, "areas": {"carpet": 20, "wall": 80}})
@@ -65,7 +62,7 @@ def test_a_mapping_in_another_order_is_put_in_the_room_s() -> None:
     np.testing.assert_array_equal(check_alpha(labelled, alpha), plain.alpha)
 
 
-def test_an_unknown_method() -> None:
+def test_an_unknown_method():
     with pytest.raises(ModelError, match="magic"):
         rt.calibrate(rt.Room(**GOOD), [0.5, 0.5], method="magic")
 
@@ -81,13 +78,13 @@ def test_an_unknown_method() -> None:
         (["long", 1.0], "measured must be a list of T in s"),
     ],
 )
-def test_times(t: list, message: str) -> None:
+def test_times(t, message):
     with pytest.raises(DataError, match=message):
         rt.calibrate(rt.Room(**GOOD), t)
 
 
 @pytest.mark.parametrize("call", [rt.calibrate, rt.find, rt.calibrate_modes])
-def test_exchanged_arguments_are_named(call: Callable[..., object]) -> None:
+def test_exchanged_arguments_are_named(call):
     room, measured = rt.datasets.bras_cr2()
     with pytest.raises(DataError, match=r"must be an rtcal.Room, not an rtcal.Measurement"):
         call(measured, room)
@@ -95,7 +92,7 @@ def test_exchanged_arguments_are_named(call: Callable[..., object]) -> None:
         call("room.toml", measured)
 
 
-def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
+def test_t_beyond_reach_says_by_how_much_and_which_would_do():
     room = rt.Room(**GOOD, air=rt.Air())
     message = r"T\[1000 Hz\] = 90 s cannot .* 37.48 s.*-0.251 m²; the bounds allow 0 to 100 m²"
     with pytest.raises(InfeasibleError, match=message):
@@ -112,7 +109,7 @@ def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
         bounded.solve([0.5, 3.0])
 
 
-def test_sigma_zero_outside_its_bounds() -> None:
+def test_sigma_zero_outside_its_bounds():
     room = rt.Room(**{**GOOD, "sigma": [[0.0, 0.05], [0.1, 0.1]]})
     tight = rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.Bounds(0.2, 1, material="wall")])
     with pytest.raises(DataError, match=r'alpha\["wall", 500 Hz\] = 0.1, bounds 0.2 to 1'):
@@ -147,7 +144,7 @@ class Done(NamedTuple):
 
 
 @pytest.fixture
-def run(tmp_path: Path, monkeypatch, capsys) -> Callable[..., Done]:
+def run(tmp_path, monkeypatch, capsys):
     """Run the command in an empty folder, in this process."""
     monkeypatch.chdir(tmp_path)
 
@@ -176,7 +173,7 @@ BAD_FILES = [  # tests/test_native_files.py has what breaks a rule in a file
 
 
 @pytest.mark.parametrize(("room", "times", "message"), BAD_FILES)
-def test_command_exits_2_with_one_line(run, tmp_path: Path, room, times, message: str) -> None:
+def test_command_exits_2_with_one_line(run, tmp_path, room, times, message):
     done = run(room, times, "--out", "made")
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
@@ -228,8 +225,7 @@ TAKEN = (
 
 
 @pytest.mark.parametrize("taken", [*TAKEN[::3], *also(*TAKEN[1::3], *TAKEN[2::3])])
-def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, capsys) -> None:
-    """`calibrate` named them; `loop next`, `export`, `predict --change` had "not valid TOML"."""
+def test_a_file_of_another_kind_is_called_so_by_every_command(taken, run, capsys):
     run(ROOM, TIMES, "--out", "made")
     stated()
     Path("case.json").write_text('{"configuration": []}')
@@ -260,7 +256,7 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken: str, run, c
 
 
 @pytest.mark.parametrize("ending", ["wav", "rf64", "w64", "aiff", "flac", "ogg", "caf", "sofa"])
-def test_a_sound_in_any_place_names_the_command_that_reads_it(ending: str, run, capsys) -> None:
+def test_a_sound_in_any_place_names_the_command_that_reads_it(ending, run, capsys):
     run(ROOM, TIMES)
     stated()
     sound = Path(f"s1.{ending}")
@@ -279,7 +275,7 @@ def test_a_sound_in_any_place_names_the_command_that_reads_it(ending: str, run, 
         assert f"`rtcal measure {sound}` makes a table" in capsys.readouterr().err
 
 
-def test_terms_that_set_contradicting_bounds_are_named() -> None:
+def test_terms_that_set_contradicting_bounds_are_named():
     floor = rt.Room(**GOOD, alpha_min=[[0.05, 0.05], [0.1, 0.1]])
     tight = rt.terms.Bounds(0, 0.04, material="wall")
     loose = rt.terms.Bounds(0, 0.9)
@@ -306,6 +302,6 @@ def test_terms_that_set_contradicting_bounds_are_named() -> None:
         ("multiplier", ([0.1], [1, 1], [1], 1.0), "sigma"),
     ],
 )
-def test_closed_forms_refuse_what_they_cannot_meet(form: str, arguments: tuple, place: str) -> None:
+def test_closed_forms_refuse_what_they_cannot_meet(form, arguments, place):
     with pytest.raises(DataError, match=place):
         getattr(rt.exact, form)(*arguments)

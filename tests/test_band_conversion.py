@@ -1,7 +1,5 @@
 """Thirds to octaves and back: absorption averages, T by its rate, incomplete octaves are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -38,7 +36,7 @@ def room_in_thirds() -> rt.Room:
     return room_of(materials, THIRDS, 800, scattering=scattering, air=rt.Air(18, 60))
 
 
-def test_absorption_areas_average() -> None:
+def test_absorption_areas_average():
     stated = room_in_thirds()
     found = stated.in_bands(OCTAVES)
     by_hand = stated.absorption_area.reshape(-1, 3).mean(axis=1)
@@ -48,7 +46,7 @@ def test_absorption_areas_average() -> None:
     np.testing.assert_allclose(found.air_attenuation, stated.air.attenuation(OCTAVES))
 
 
-def test_t_averages_by_its_rate() -> None:
+def test_t_averages_by_its_rate():
     """So the octave's T is the one of the octave's mean absorption area, without air."""
     stated = room_in_thirds().with_air(None)
     sabine = rt.Sabine(343)
@@ -58,7 +56,7 @@ def test_t_averages_by_its_rate() -> None:
 
 
 @pytest.mark.parametrize("name", [*PARAMETERS, "g"])
-def test_octaves_to_thirds_and_back_is_the_identity(name: str) -> None:
+def test_octaves_to_thirds_and_back_is_the_identity(name):
     value = np.full((3, 2), PARAMETERS.get(name, 12.0)) * [[1.0], [1.1], [0.7]]
     u = 0.03 * np.abs(value)
     octaves, thirds = [500, 1000], bands.third_octaves(400, 1250)
@@ -74,7 +72,7 @@ def test_octaves_to_thirds_and_back_is_the_identity(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [*PARAMETERS, "g"])
-def test_uncertainty_against_drawn_values(name: str) -> None:
+def test_uncertainty_against_drawn_values(name):
     rng = np.random.default_rng(1)
     middle = PARAMETERS.get(name, 12.0) * np.array([0.8, 1.0, 1.3])
     u = 0.01 * np.abs(middle) * [1, 2, 3]
@@ -84,7 +82,7 @@ def test_uncertainty_against_drawn_values(name: str) -> None:
     assert found[0] == pytest.approx(scatter, rel=0.01)
 
 
-def test_energy_quantities_average_as_energy() -> None:
+def test_energy_quantities_average_as_energy():
     thirds = [800, 1000, 1250]
     share = np.array([0.3, 0.5, 0.7])
     clarity = 10 * np.log10(share / (1 - share))
@@ -94,7 +92,7 @@ def test_energy_quantities_average_as_energy() -> None:
     assert level[0] == pytest.approx(10 * np.log10(2))
 
 
-def test_measurements_convert_as_a_whole() -> None:
+def test_measurements_convert_as_a_whole():
     t20 = np.random.default_rng(2).uniform(1, 2, (2, 6))
     measured = rt.Measurement(
         centre_frequencies=bands.third_octaves(400, 1250),
@@ -118,7 +116,7 @@ def test_measurements_convert_as_a_whole() -> None:
     assert found.n_receivers == 5
 
 
-def test_incomplete_octaves_are_refused() -> None:
+def test_incomplete_octaves_are_refused():
     thirds = bands.third_octaves(125, 1250)
     assert bands.obtainable(thirds, bands.OCTAVES).tolist() == [250, 500, 1000]
     for frequencies, wanted, said in (

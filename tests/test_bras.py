@@ -1,7 +1,5 @@
 """Two real rooms in third-octaves: a golden test of the equations, and calibration end to end."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
@@ -43,7 +41,7 @@ def bras(folder: Path, name: str, which: str) -> tuple[rt.Room, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["CR2", "CR3"])
-def test_fitted_coefficients_give_the_measured_t20(shared_data: Path, name: str) -> None:
+def test_fitted_coefficients_give_the_measured_t20(shared_data, name):
     """Within 0.7 % in every band. They came from such a fit: this checks code, not physics."""
     room, t20 = bras(shared_data, name, "fitted")
     assert room.n_bands == 24
@@ -51,7 +49,7 @@ def test_fitted_coefficients_give_the_measured_t20(shared_data: Path, name: str)
 
 
 @pytest.mark.parametrize("name", ["CR2", "CR3"])
-def test_calibration_meets_every_reachable_band(shared_data: Path, name: str) -> None:
+def test_calibration_meets_every_reachable_band(shared_data, name):
     room, t20 = bras(shared_data, name, "initial")
     result = rt.calibrate(room, t20, unreachable="nearest")
     named = {u.frequency for u in result.unreachable}
@@ -63,7 +61,7 @@ def test_calibration_meets_every_reachable_band(shared_data: Path, name: str) ->
         assert abs(u.reverberation_time / u.longest - 1) > 0
 
 
-def test_a_band_beyond_reach_is_named_and_the_others_are_met(shared_data: Path) -> None:
+def test_a_band_beyond_reach_is_named_and_the_others_are_met(shared_data):
     """At 63 times the measured T no coefficients of 0 or more would do."""
     room, t20 = bras(shared_data, "CR2", "initial")
     t20[-1] *= 63

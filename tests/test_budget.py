@@ -1,7 +1,5 @@
 """Files that declare more than the budget are refused before they are loaded, in 2 s and 300 MB."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct
@@ -116,7 +114,7 @@ def sofa_of(path: Path, samples: int) -> None:
 
 
 @pytest.mark.long
-def test_what_is_declared_beyond_the_budget_is_refused_before_it_is_loaded(tmp_path: Path) -> None:
+def test_what_is_declared_beyond_the_budget_is_refused_before_it_is_loaded(tmp_path):
     folder = tmp_path / "hostile"
     folder.mkdir()
     for name, made in HOSTILE.items():
@@ -136,7 +134,7 @@ def test_what_is_declared_beyond_the_budget_is_refused_before_it_is_loaded(tmp_p
     assert told["megabytes"] < 300
 
 
-def test_instances_of_instances_are_read(tmp_path: Path) -> None:
+def test_instances_of_instances_are_read(tmp_path):
     pytest.importorskip("collada")
     path = tmp_path / "instances.dae"
     path.write_bytes(instances(3))

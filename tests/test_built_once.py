@@ -1,7 +1,5 @@
 """A problem is compiled once for its shape and terms, whoever asks, and threads share it."""
 
-from __future__ import annotations
-
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -26,7 +24,7 @@ def cases(count: int, n: int = 6, k: int = 4) -> list[tuple[rt.Room, np.ndarray]
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "osqp"])
-def test_rooms_of_one_shape_are_compiled_once(solver: str, compilations: list[object]) -> None:
+def test_rooms_of_one_shape_are_compiled_once(solver, compilations):
     answers = [rt.calibrate(room, t, solver=solver).alpha for room, t in cases(4)]
     assert len(compilations) == 1
     for (room, t), alpha in zip(cases(4), answers, strict=True):
@@ -34,7 +32,7 @@ def test_rooms_of_one_shape_are_compiled_once(solver: str, compilations: list[ob
         np.testing.assert_array_equal(rt.calibrate(room, t, solver=solver).alpha, alpha)
 
 
-def test_threads_share_one_problem(compilations: list[object]) -> None:
+def test_threads_share_one_problem(compilations):
     given = cases(24)
     ready = threading.Barrier(8)
 

@@ -1,7 +1,5 @@
 """What a calibration prints of its bands, its room and its materials."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

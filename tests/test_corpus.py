@@ -1,8 +1,5 @@
 """Files with the oddities of real exports: each gives what it means, or one line that says why not."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,12 +24,12 @@ READERS: dict[str, Any] = {
 WRITTEN = {"bras", "catt", "odeon", "pyroomacoustics"}
 
 
-def test_there_are_three_hundred_and_their_names_differ() -> None:
+def test_there_are_three_hundred_and_their_names_differ():
     assert len(corpus.NAMED) == len(corpus.CASES) >= 300
 
 
 @pytest.mark.parametrize("case", corpus.CASES, ids=lambda c: c.name)
-def test_each_file_gives_what_it_means(case: corpus.Case, tmp_path: Path) -> None:
+def test_each_file_gives_what_it_means(case, tmp_path):
     endings = {"library": ".xlsx" if case.sheets else ".csv", "modes": ".csv"}
     path = tmp_path / f"file{endings.get(case.reader, '')}"
     path.write_bytes(case.content)
@@ -79,7 +76,7 @@ def values(measured: rt.Measurement) -> dict[tuple[object, ...], float]:
 BAFFLE = (0.45, 0.9, 1.0)
 
 
-def test_a_table_of_one_product_has_the_name_of_its_file(tmp_path: Path) -> None:
+def test_a_table_of_one_product_has_the_name_of_its_file(tmp_path):
     (tmp_path / "Baffle.csv").write_text("Frequency;alpha_s\n250;0,45\n500;0,9\n1000;1,1\n")
     assert library.read(tmp_path / "Baffle.csv").listed("Baffle").alpha == BAFFLE
 

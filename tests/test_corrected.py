@@ -1,7 +1,5 @@
 """A corrected room in the rest of the package: intervals, files, equations, simulators, the loop."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,7 +22,7 @@ OPENING = AppliedEffect("opening", {"area": 40.0}, (20.0, 56.0))
 
 
 @pytest.fixture(scope="module")
-def hidden() -> tuple[Case, np.ndarray]:
+def hidden():
     case, truth = rt.datasets.hidden_room()
     return case, np.array(truth["alpha"])
 

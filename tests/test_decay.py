@@ -1,7 +1,5 @@
 """Decay parameters against exact exponentials, against pyrato, and against what they must refuse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,7 +18,7 @@ def exponential(t: float, width: float = 1e-4, length: float = 1.5) -> np.ndarra
 
 
 @given(st.floats(0.1, 8))
-def test_exponentials_are_exact(t: float) -> None:
+def test_exponentials_are_exact(t):
     width = t / 1000
     energy = exponential(t, width, 1.6)
     for name in ("edt", "t20", "t30"):
@@ -31,7 +29,7 @@ def test_exponentials_are_exact(t: float) -> None:
 
 
 @pytest.mark.parametrize("t", [0.5, 2.0])
-def test_clarity_and_definition_of_an_exponential(t: float) -> None:
+def test_clarity_and_definition_of_an_exponential(t):
     energy = np.stack([exponential(t, 1e-4, 2.0)] * 2)
     rate = 6 * np.log(10) / t
     found = observables.parameters(energy, 1e-4)
@@ -41,11 +39,11 @@ def test_clarity_and_definition_of_an_exponential(t: float) -> None:
     assert found["ts"].shape == (2,)
 
 
-def test_a_limit_within_a_bin_counts_in_proportion() -> None:
+def test_a_limit_within_a_bin_counts_in_proportion():
     assert observable("d50").value(np.ones(10), 0.02) == pytest.approx(0.25)
 
 
-def test_pyrato_agrees_on_a_noisy_decay() -> None:
+def test_pyrato_agrees_on_a_noisy_decay():
     pyfar = pytest.importorskip("pyfar")
     pyrato = pytest.importorskip("pyrato")
     rate, t = 8000, 0.9
@@ -66,7 +64,7 @@ def test_pyrato_agrees_on_a_noisy_decay() -> None:
 
 
 @pytest.mark.parametrize(("length", "short"), [(0.3, True), (0.6, True), (0.7, False)])
-def test_too_short_is_said(length: float, short: bool) -> None:
+def test_too_short_is_said(length, short):
     energy = exponential(1.0, 1e-4, length)
     assert bool(observable("t20").too_short(energy)) is short
     assert bool(np.isnan(observable("t20").value(energy, 1e-4))) is short
@@ -74,7 +72,7 @@ def test_too_short_is_said(length: float, short: bool) -> None:
         assert observable("t20").value(energy, 1e-4) == pytest.approx(1.0, rel=0.004)
 
 
-def test_a_slow_late_part_is_seen() -> None:
+def test_a_slow_late_part_is_seen():
     """A double slope whose late part is cut off: the early slope alone would look long enough."""
     time = np.arange(7000) * 1e-4
     energy = 10 ** (-6 * time / 0.5) + 1e-3 * 10 ** (-6 * time / 5)
@@ -88,13 +86,13 @@ def test_a_slow_late_part_is_seen() -> None:
         (np.eye(1, 8000)[0], DataError, "too little sound is reflected"),
     ],
 )
-def test_a_pair_without_a_decay_is_named(second, error, said) -> None:
+def test_a_pair_without_a_decay_is_named(second, error, said):
     energy = np.stack([exponential(0.5, 1e-4, 1.6), second])[:, np.newaxis]
     with pytest.raises(error, match=said):
         rt.Measurement.from_decays(energy, 1e-4, np.array([500.0]), [("S", "A"), ("S", "B")])
 
 
-def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
+def test_a_late_part_lost_in_rounding_is_still_a_late_part():
     """As one less the early share it came out below nothing, and C50 as no number."""
     rng = np.random.default_rng(3)
     energy = np.append(rng.random((400, 50)), np.full((400, 1), 1e-18), axis=1)
@@ -114,12 +112,12 @@ def test_a_late_part_lost_in_rounding_is_still_a_late_part() -> None:
         ([1, 1], 1e-3, "t60", '"t60" is unknown'),
     ],
 )
-def test_bad_input(energy: list[float], width: float, name: str, message: str) -> None:
+def test_bad_input(energy, width, name, message):
     with pytest.raises(DataError, match=message):
         observables.parameters(np.array(energy), width, [name])
 
 
-def test_the_double_slope_of_the_issue_is_bent() -> None:
+def test_the_double_slope_of_the_issue_is_bent():
     measured = rt.Measurement.from_values(
         [500, 1000], edt=[0.72, 0.42], t20=[0.73, 0.73], t30=[0.74, 1.01]
     )
@@ -128,7 +126,7 @@ def test_the_double_slope_of_the_issue_is_bent() -> None:
     assert bent.text == "the decay is curved, curvature T30/T20 - 1 = +38 %, EDT/T20 - 1 = -42 %"
 
 
-def test_straight_decays_are_seldom_flagged() -> None:
+def test_straight_decays_are_seldom_flagged():
     """Two standard deviations of a ratio beyond its limit: less than 2 % of straight decays."""
     rng = np.random.default_rng(3)
     time, width, n_rooms = 1.0, 88, 1500  # the octave of 125 Hz, one position

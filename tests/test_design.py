@@ -1,7 +1,5 @@
 """Designing to a target: the cheapest, beside exhaustive search; laws; what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -36,7 +34,7 @@ def a_room() -> rt.Room:
     return room_of(materials, BANDS, 180, air=rt.Air(20, 50))
 
 
-def known(room: rt.Room | None = None) -> rt.CalibrationResult:
+def known(room: rt.Room | None = None):
     room = room or a_room()
     return rt.calibrate(room, 0.95 * rt.Eyring().reverberation_time(room))
 
@@ -48,7 +46,7 @@ TREATMENTS = (
 TARGET = Target([0.4] * 3, [0.8] * 3)
 
 
-def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...], Target]:
+def a_shop(one_sided: bool):
     """A small room with panels on two surfaces and free pieces; Sabine's equation."""
     room = room_of(
         {
@@ -76,7 +74,7 @@ def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...]
 
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("index", [0, *also(*range(1, 8))])
-def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index: int) -> None:
+def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index):
     """Every number of panels, with a fine search over what may be had in any area."""
     result, treatments, target, p = designs.problem(index, stream=5)
     try:
@@ -95,7 +93,7 @@ def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index: i
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None:
+def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do():
     result = known()
     target = Target([np.nan] * 3, [1.3] * 3)
     some = design(result, TREATMENTS[:1], target, 0.8)
@@ -108,7 +106,7 @@ def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_nothing_is_placed_where_nothing_is_needed() -> None:
+def test_nothing_is_placed_where_nothing_is_needed():
     shop, every, _ = a_shop(one_sided=True)
     before = shop.reverberation_time_after.tolist()
     for costs, high in ((1.0, [2.0] * 3), (0.0, [2.0] * 3), (1.0, before)):
@@ -120,7 +118,7 @@ def test_nothing_is_placed_where_nothing_is_needed() -> None:
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None:
+def test_the_probability_is_that_of_the_prediction_of_the_same_changes():
     shop, every, target = a_shop(one_sided=False)
     found = design(shop, every, target, 0.85)
     put = [t.change(a) for t, a in zip(every, found.areas, strict=True) if a > 0]
@@ -132,7 +130,7 @@ def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None
 
 
 @pytest.mark.usefixtures("few_draws")
-def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
+def test_what_can_be_had_is_said_where_nothing_will_do():
     with pytest.raises(InfeasibleError, match=r"wider by .* at both ends can be met"):
         design(known(), TREATMENTS, Target([0.50] * 3, [0.56] * 3))
     small = tuple(replace(t, largest=3.0) for t in TREATMENTS)
@@ -182,12 +180,12 @@ def test_what_can_be_had_is_said_where_nothing_will_do() -> None:
         ),
     ],
 )
-def test_what_breaks_a_rule_is_refused(make, said: str) -> None:
+def test_what_breaks_a_rule_is_refused(make, said):
     with pytest.raises(DataError, match=said):
         make()
 
 
-def test_standards_give_their_numbers() -> None:
+def test_standards_give_their_numbers():
     """Classroom of 180 m³: 0.32 lg 180 - 0.17 = 0.552 s, by hand."""
     target = din_18041("A3", 180, [125, 250, 1000, 4000, 8000])
     assert target.low[:4] == pytest.approx(0.5517 * np.array([0.65, 0.8, 0.8, 0.65]), abs=1e-3)
@@ -196,7 +194,7 @@ def test_standards_give_their_numbers() -> None:
     assert np.isnan(din_18041("A5", 2000, [125, 500]).low).tolist() == [True, False]
 
 
-def a_seminar_room() -> tuple[rt.CalibrationResult, Treatment, Target]:
+def a_seminar_room():
     """CR2 with one panel and a largest T alone: the mean of A has no upper end."""
     result = rt.calibrate(*rt.datasets.bras_cr2())
     panel = rt.Material("P", [0.4, 0.6, 0.8, 0.9, 0.9, 0.9], [0.1] * 6)
@@ -206,7 +204,7 @@ def a_seminar_room() -> tuple[rt.CalibrationResult, Treatment, Target]:
 
 @pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("p", [0.86, *also(0.8)])
-def test_a_largest_t_alone_is_met_at_the_least_area_that_keeps_the_promise(p: float) -> None:
+def test_a_largest_t_alone_is_met_at_the_least_area_that_keeps_the_promise(p):
     result, panel, target = a_seminar_room()
     found = rt.design(result, [panel], target, p)
     assert p - 0.002 <= found.probability.min() <= p + 0.002

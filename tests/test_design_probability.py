@@ -4,8 +4,6 @@ Nothing of the prediction's own draws is used: coefficients are drawn from what 
 weighted by how well they explain the measured T. The formulas are those of docs/prediction.md.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
@@ -22,7 +20,7 @@ U_T = 0.05
 """Relative standard uncertainty of the measured T."""
 
 
-def a_room(seed: int) -> tuple[np.random.Generator, rt.CalibrationResult, Array]:
+def a_room(seed: int):
     """A calibrated room, some of whose coefficients are near 0 beside what is not known of them."""
     rng = np.random.default_rng([57, 40, seed])
     x, y, z = np.exp(rng.uniform(np.log(3), np.log(8))) * np.array([1.4, 1.1, 0.65])
@@ -87,9 +85,7 @@ def log_time(room: rt.Room, facing: Array, absorption: list[Array], u: Array, ba
     return np.asarray(np.log(constant / even) + added)
 
 
-def sampled(
-    n: int, result: rt.CalibrationResult, t: Array, changes: list[Change], band: int
-) -> tuple[Array, Array]:
+def sampled(n: int, result, t: Array, changes: list[Change], band: int) -> tuple[Array, Array]:
     """Return n draws of T after changes in s, and their weights, (n,) each."""
     assumed, room, after = Assumptions(), result.prior, changed(result.prior, changes)
     rng = np.random.default_rng(band)

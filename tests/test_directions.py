@@ -1,7 +1,5 @@
 """The directions of a room's surfaces, and what a search says where nothing tells them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -63,14 +61,14 @@ WAYS = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_what_says_directions_says_the_same(way: str) -> None:
+def test_what_says_directions_says_the_same(way):
     found = facing(WAYS[way])
     assert enough_known(WAYS[way], found)
     # Without dimensions half of the walls is taken to face along x.
     assert np.allclose(found, AXES, atol=0.01 if "dimensions" in way or way == "axes" else 0.1)
 
 
-def test_a_mesh_says_them_even_where_it_is_turned() -> None:
+def test_a_mesh_says_them_even_where_it_is_turned():
     walls = dict.fromkeys(("west", "east", "south", "north"), "m3")
     box = Polyhedron.shoebox(SIDES, {**walls, "floor": "m1", "ceiling": "m2"})
     assert np.allclose(facing(room(), box), AXES)
@@ -89,7 +87,7 @@ def test_a_mesh_says_them_even_where_it_is_turned() -> None:
         ([Z, Z, 4 * (X + Y)], [False, False, False]),  # not those of the box
     ],
 )
-def test_areas_are_matched_to_the_faces_of_the_box(areas: list[float], known: list[bool]) -> None:
+def test_areas_are_matched_to_the_faces_of_the_box(areas, known):
     stated = room(dimensions=SIDES, areas=areas)
     assert np.isfinite(facing(stated)).all(axis=1).tolist() == known
 
@@ -109,7 +107,7 @@ def test_areas_are_matched_to_the_faces_of_the_box(areas: list[float], known: li
         ("", None),
     ],
 )
-def test_names_that_say_floor_ceiling_or_wall(name: str, kind: str | None) -> None:
+def test_names_that_say_floor_ceiling_or_wall(name, kind):
     assert kind_of(name) == kind
 
 
@@ -118,7 +116,7 @@ def a_room(names, areas, **more) -> rt.Room:
     return room_of(materials, [1000], 60, **more)
 
 
-def test_an_oblique_face_counts_by_its_normal() -> None:
+def test_an_oblique_face_counts_by_its_normal():
     class Slope:
         materials = ("roof",)
         face_areas = np.array([10.0])

@@ -1,7 +1,5 @@
 """Finding a missing effect: the model against theory, the evidence against scipy, cases end to end."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -61,7 +59,7 @@ def made(**changes: object) -> RoomState:
         frequencies=F,
         speed_of_sound=343.2,
     )
-    return replace(base, **changes)  # type: ignore[arg-type]
+    return replace(base, **changes)
 
 
 def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
@@ -307,7 +305,6 @@ def test_an_opening_is_found_added_and_its_alpha_left_alone():
     finding = find(case, effects=[Opening()], controls=controls_of(case))
     assert finding.verdict == "named"
     assert finding.effect == "opening"
-    assert finding.size is not None
     assert finding.size.low < 25 < finding.size.high
     seen = verify(finding)
     # The truth is the prior's alpha: plain calibration is off, the corrected one hardly.
@@ -400,7 +397,6 @@ def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Findi
 @pytest.mark.parametrize("shape", [True, *also(False)])
 @pytest.mark.parametrize("share", [0.35, *also(0.25)])
 def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(share, *, shape):
-    """With EDT and T30 it had been a family, as if the straight decay showed an absorber."""
     finding = absorbing_room(share, alike=True, shape=shape)
     assert finding.verdict not in ("named", "family")
     assert finding.reasons[0].code == MISTAKE

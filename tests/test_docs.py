@@ -1,7 +1,5 @@
 """The documents' code runs: the blocks of README and docs."""
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import inspect
@@ -189,14 +187,14 @@ SECTIONS = re.findall(
 )
 
 
-def test_there_are_six_extensions() -> None:
+def test_there_are_six_extensions():
     kinds = [title.split()[1] for title, _ in SECTIONS]
     assert kinds == ["equation", "term", "observable", "effect", "format", "simulator"]
 
 
 @pytest.mark.long  # six programs, each with its own start
 @pytest.mark.parametrize(("title", "program"), SECTIONS, ids=[t for t, _ in SECTIONS])
-def test_an_extension_works_from_outside(title: str, program: str, tmp_path: Path) -> None:
+def test_an_extension_works_from_outside(title, program, tmp_path):
     """The package's own files stay as they are, and the last line prints what it says."""
     package = sorted((ROOT / "rtcal").rglob("*.py"))
     before = [path.stat().st_mtime_ns for path in package]

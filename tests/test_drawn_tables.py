@@ -1,7 +1,5 @@
 """Tables with known content: units, statistics and protocols are read right, or refused by name."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from typing import Any
@@ -91,7 +89,6 @@ def read_or_refused(content: bytes, **options: Any) -> tuple[rt.Measurement | No
 @pytest.mark.parametrize("mark", [".", ","])
 @pytest.mark.parametrize("layout", written(".", False))
 def test_no_reading_and_no_proposal_gives_another_value(separator, mark, layout):
-    """Of "R1,T20 [s],1,62,1,41" the columns proposed had read 62 s."""
     for whole in (False, True):
         rows = written(mark, whole)[layout]
         content = "\n".join(map(separator.join, rows)).encode()

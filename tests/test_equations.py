@@ -1,7 +1,5 @@
 """The reverberation equations: worked examples of the field, laws, and their inverses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

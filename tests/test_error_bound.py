@@ -1,7 +1,5 @@
 """The bound of the error: against rational arithmetic, and at the edge of double precision."""
 
-from __future__ import annotations
-
 import contextlib
 import warnings
 from collections.abc import Iterator
@@ -30,7 +28,7 @@ def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]
 
 
 @pytest.mark.parametrize("solver", ["clarabel", *also("osqp")])
-def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> None:
+def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver):
     off, widest = 0, []
     for answer, truth in answers(solver):
         for alpha, certificate in (
@@ -48,14 +46,13 @@ def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> 
 
 
 @pytest.mark.parametrize("seed", [17, 62, 76, 505, 561, 642, 763, 2837])
-def test_nearly_dependent_rows_and_an_optimum_at_a_bound_are_polished(seed: int) -> None:
-    """These raised SolverError: the rows were missed by 1e-12, with multipliers of 1e6."""
+def test_nearly_dependent_rows_and_an_optimum_at_a_bound_are_polished(seed):
     answer = coupled.solution(seed)
     assert answer.polished
     assert np.max(answer.certificate.alpha_error_bound) < 1e-6
 
 
-def test_a_wrong_answer_has_large_residuals_and_a_bound_that_holds(cr2) -> None:
+def test_a_wrong_answer_has_large_residuals_and_a_bound_that_holds(cr2):
     """The certificate is computed from the matrices: what a solver states of its answer is not used."""
     rng = np.random.default_rng(1)
     joint = rt.calibrate(*cr2, method="soft").joint
@@ -107,7 +104,7 @@ def extreme_room(seed: int) -> tuple[rt.Room, np.ndarray]:
 
 
 @pytest.mark.long
-def test_no_failure_and_no_answer_outside_its_bound_at_the_edge_of_double_precision() -> None:
+def test_no_failure_and_no_answer_outside_its_bound_at_the_edge_of_double_precision():
     """The truth is `rtcal.exact`, which shares no code with the calibration; its rounding is 1e-12."""
     looseness = []
     for seed in range(30):
@@ -132,7 +129,7 @@ def test_no_failure_and_no_answer_outside_its_bound_at_the_edge_of_double_precis
 
 
 @pytest.mark.parametrize("configurations", [2, 3])
-def test_errors_of_rows_of_either_sign_are_within_the_bound(configurations: int) -> None:
+def test_errors_of_rows_of_either_sign_are_within_the_bound(configurations):
     """Two patterns of signs, alternating, are no bound of the errors of three rows or more."""
     problem, rng = coupled.compiled(configurations, 5, 0).compiled, np.random.default_rng(1)
     first = [
@@ -168,7 +165,7 @@ def test_errors_of_rows_that_define_variables_are_errors_of_the_gradient(seed: i
 
 
 @pytest.mark.parametrize("seed", [160, 258, 350, 370, 613, 711, 777, *range(20)])
-def test_near_an_end_the_bound_has_the_rounding_of_the_row(seed: int) -> None:
+def test_near_an_end_the_bound_has_the_rounding_of_the_row(seed):
     """The row has no free variable there: its slack counted, and not the rounding of its slack."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(2, 7))

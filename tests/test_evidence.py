@@ -1,7 +1,5 @@
 """One evidence: products with factored covariances, and densities, are those of the whole matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, multivariate_t

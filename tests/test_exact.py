@@ -1,7 +1,5 @@
 """The exact batch solver: against rational arithmetic, NumPy, the definitions, bad input."""
 
-from __future__ import annotations
-
 import functools
 from fractions import Fraction
 
@@ -52,7 +50,7 @@ def truth(count: int) -> tuple[list[Problem], list]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("count", COUNTS)
-def test_against_rational_arithmetic(count: int) -> None:
+def test_against_rational_arithmetic(count):
     found, right = truth(count)
     worst, infeasible, snapped = 0.0, 0, 0
     for indices in by_size(found).values():
@@ -112,7 +110,7 @@ def variants() -> list[tuple[tuple, dict, list]]:
 
 
 @pytest.mark.long
-def test_bounds_per_coefficient_and_soft_against_rational_arithmetic() -> None:
+def test_bounds_per_coefficient_and_soft_against_rational_arithmetic():
     active, worst = 0, 0.0
     for arrays, options, right in variants():
         alpha, d, status = exact.solve(*arrays, **options)
@@ -127,7 +125,7 @@ def test_bounds_per_coefficient_and_soft_against_rational_arithmetic() -> None:
     assert active > 1000
 
 
-def test_multiplier_is_the_papers_d() -> None:
+def test_multiplier_is_the_papers_d():
     """With it every answer meets the optimality conditions, and so is the optimum."""
     checked = 0
     for p in problems(210, seed=2):
@@ -150,7 +148,7 @@ def test_multiplier_is_the_papers_d() -> None:
     assert checked > 5
 
 
-def test_the_ends() -> None:
+def test_the_ends():
     """b within 16 n eps sum |S bound| of an end is that end; beyond, it is out of reach."""
     areas = np.array([0.1, 33.3, 7.7])
     mu, sigma = np.array([0.2, 0.4, 0.6]), np.array([0.05, 0.1, 0.0])
@@ -186,7 +184,7 @@ def test_the_ends() -> None:
     assert corner.multiplier == pytest.approx(1 / 3)  # of [-1/2, 1/3] the end nearest 0
 
 
-def test_bad_rows_are_status_3_and_leave_the_others_alone() -> None:
+def test_bad_rows_are_status_3_and_leave_the_others_alone():
     mu, sigma, areas = np.full((10, 3), 0.5), np.full((10, 3), 0.1), np.full((10, 3), 2.0)
     lower, upper, target = np.zeros((10, 3)), np.ones((10, 3)), np.full(10, 2.5)
     u = np.zeros(10)
@@ -207,8 +205,7 @@ def test_bad_rows_are_status_3_and_leave_the_others_alone() -> None:
 
 
 @pytest.mark.parametrize("tiny", [1e-170, 1e-160, 1e-145])
-def test_a_sigma_whose_square_rounds_to_0_is_refused(tiny: float) -> None:
-    """It gave alpha = 1 or the prior, with status 0."""
+def test_a_sigma_whose_square_rounds_to_0_is_refused(tiny):
     sigma = [[tiny, tiny], [0.1, 0.1], [0.0, 0.1]]
     answer = exact.solve([0.1, 0.2], sigma, [10, 20], 7.0)
     assert answer.status.tolist() == [exact.BAD_INPUT, exact.OK, exact.OK]
@@ -217,7 +214,7 @@ def test_a_sigma_whose_square_rounds_to_0_is_refused(tiny: float) -> None:
     assert one.status.tolist() == [exact.BAD_INPUT] * 2
 
 
-def test_what_does_not_fit_is_an_error() -> None:
+def test_what_does_not_fit_is_an_error():
     with pytest.raises(DataError, match="do not fit"):
         exact.solve([0.1, 0.2], [0.1, 0.1, 0.1], [1, 1], 0.2)
     with pytest.raises(DataError, match="at least one axis"):
@@ -226,7 +223,7 @@ def test_what_does_not_fit_is_an_error() -> None:
         exact.solve(["a"], [0.1], [1], 0.2)
 
 
-def test_small_difference_of_large_areas_is_exact_to_rounding() -> None:
+def test_small_difference_of_large_areas_is_exact_to_rounding():
     """S'alpha - b where b is S'alpha in doubles: what is left is below one rounding error of it."""
     rng = np.random.default_rng(0)
     areas, alpha = rng.uniform(1, 300, (50, 23)), rng.uniform(0, 1, (50, 23))
@@ -242,7 +239,7 @@ def test_small_difference_of_large_areas_is_exact_to_rounding() -> None:
 
 
 @pytest.mark.parametrize("end", [0.0, 1.0])
-def test_rows_at_an_end_have_multipliers_of_their_own(end: float) -> None:
+def test_rows_at_an_end_have_multipliers_of_their_own(end):
     """Each row's multiplier is that of the row solved alone."""
     mu = np.array([[0.3, 0.5], [0.6, 0.2], [0.45, 0.7]])
     sigma = np.array([[0.1, 0.2], [0.05, 0.1], [0.3, 0.02]])

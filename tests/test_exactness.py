@@ -1,7 +1,5 @@
 """Every answer against exact rational arithmetic, over all the kinds that have tripped a solver."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import dataclass
 
@@ -68,7 +66,7 @@ def error(alpha: np.ndarray, exact: list) -> float:
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused(count: int) -> None:
+def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused(count):
     worst = 0.0
     for p, t, exact in cases(count):
         problem = compiled(len(p.mu))
@@ -92,7 +90,7 @@ def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused(coun
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_osqp_is_right_or_says_that_it_failed(count: int) -> None:
+def test_osqp_is_right_or_says_that_it_failed(count):
     refused = well_inside = 0
     for p, t, exact in cases(count):
         if isinstance(exact, str):

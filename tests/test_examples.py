@@ -1,7 +1,5 @@
 """`rtcal example`: every command that it prints runs, in the folder that it wrote."""
 
-from __future__ import annotations
-
 import glob
 import runpy
 import shlex

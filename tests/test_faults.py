@@ -1,7 +1,5 @@
 """Each file is old or new; a set written in part is refused by name; own files alone are replaced."""
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path
@@ -150,7 +148,6 @@ def test_what_is_no_file_is_not_written_over(tmp_path):
 
 
 def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path):
-    """A header that asks for 500 GB ended in a traceback, and a NaN was taken."""
     place = tmp_path / "folder" / "a.array"
     disk.write(place, np.arange(6.0).reshape(2, 3))
     again = disk.read(place)

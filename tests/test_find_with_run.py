@@ -1,7 +1,5 @@
 """Laws of a search in which a program's run stands in place of the equation."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -79,7 +77,7 @@ def found(
     room = hall()
     simulated = None if run is None else rt.Run(room, rt.Measurement.from_values(F, **run))
     more = {"without": FEWER, **more}
-    return rt.find(room, measurement(measured), simulated=simulated, controls=controls(), **more)  # type: ignore[arg-type]
+    return rt.find(room, measurement(measured), simulated=simulated, controls=controls(), **more)
 
 
 def with_absorber(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -98,7 +96,7 @@ def test_a_run_that_is_the_measurement_agrees():
 @pytest.mark.parametrize("change", [with_absorber, *also(dict)])
 def test_a_run_of_the_equation_answers_as_without_one(change):
     values = values_of(hall())
-    measured = change(values)  # type: ignore[operator]
+    measured = change(values)
     one, other = found(measured, values), found(measured, None)
     assert one.verdict == other.verdict
     assert one.score == pytest.approx(other.score, abs=1e-6)
@@ -177,7 +175,7 @@ def test_a_case_file_names_the_run_and_its_coefficients(tmp_path):
     case.save(str(tmp_path / "case.json"))
     again = Case.from_file(str(tmp_path / "case.json"))
     assert json.loads(again.to_json()) == json.loads(case.to_json())
-    np.testing.assert_array_equal(again.configurations[0].simulated.room.alpha, at.alpha)  # type: ignore[union-attr]
+    np.testing.assert_array_equal(again.configurations[0].simulated.room.alpha, at.alpha)
     np.testing.assert_array_equal(features_of(again), features_of(case))
 
 
@@ -258,7 +256,7 @@ def test_what_positions_do_cancels_between_room_and_program(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def absorber() -> Finding:
+def absorber():
     """A finding with a run in which an opening is missing, and C80 and G were measured."""
     room = hall()
     whole = Configuration(name="as measured", measured=measurement(values_of(room)))
@@ -305,7 +303,6 @@ def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(a
 def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:
     """What the equation gives of the corrected model with all alpha so many times as large."""
     made = finding.apply().model
-    assert made is not None
     case = made.case if effect else finding.case
     room = case.room.replace(alpha=np.minimum(off * case.room.alpha, 0.99))
     bare = replace(

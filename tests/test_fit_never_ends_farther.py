@@ -1,7 +1,5 @@
 """No fit ends farther from what was measured than it began: over simulators, priors and data."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
@@ -229,7 +227,6 @@ def test_no_loop_ends_farther_than_the_stated_coefficients(name, factor):
 
 
 def test_bands_that_depend_on_each_other_end_no_farther_than_a_step():
-    """Each band's best step was another one; together they were farther than the start."""
     room = stated(PRIORS["usual"])
     wanted = rt.Eyring().reverberation_time(room)
 

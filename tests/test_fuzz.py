@@ -1,9 +1,5 @@
 """Broken files give a typed error that names the place, or a right reading; nothing else."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 from hypothesis import HealthCheck, given, settings
 
@@ -18,19 +14,19 @@ EXAMPLES = 500
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 @given(fuzz.broken())
-def test_broken_files(tmp_path: Path, case: tuple[str, bytes]) -> None:
+def test_broken_files(tmp_path, case):
     fuzz.check(*case, tmp_path)
 
 
 @pytest.mark.parametrize("name", sorted(fuzz.READERS))
-def test_the_good_files_are_read(name: str, tmp_path: Path) -> None:
+def test_the_good_files_are_read(name, tmp_path):
     for seed in fuzz.READERS[name].seeds:
         assert fuzz.check(name, seed, tmp_path)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", sorted(fuzz.READERS))
-def test_what_the_fuzzer_kept_is_read_or_refused(name: str, tmp_path: Path) -> None:
+def test_what_the_fuzzer_kept_is_read_or_refused(name, tmp_path):
     contents = fuzz.kept(name)
     assert contents
     for content in contents:

@@ -1,11 +1,8 @@
 """`rtcal find`, its kin and the hidden rooms: commands, leak audit, stored findings."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("runs_kept")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, kept: Path) -> Path:
+def folder(tmp_path_factory, kept):
     """A user's files: the room that ships, its first configuration."""
     case, _ = rt.datasets.hidden_room()
     path = tmp_path_factory.mktemp("case")
@@ -94,7 +91,7 @@ def test_a_room_and_its_measurement_are_a_case(folder, tmp_path, rtcal):
 
 
 @pytest.fixture(scope="module")
-def finding(folder: Path) -> Finding:
+def finding(folder):
     case = Case.from_file(str(folder / "case.json"))
     return find(case, only=["opening", "area"], controls=controls_of(case))
 
@@ -171,7 +168,6 @@ def test_supported_means_something(finding, before, after, changes):
 
 
 def test_what_gets_worse_at_held_out_data_is_said_and_never_supported(finding):
-    """A coupled room was supported by EDT, to which it was fitted, while C80 and G got worse."""
     seen = verify(finding)
     both = with_gap(seen, {"C80": (3.0, 0.2), "G": (1.0, 1.4)})
     assert both.gain > both.needed
@@ -213,7 +209,6 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder):
 def test_a_plan_needs_no_measurement(folder, rtcal):
     path = folder / "plan.toml"
     counted = re.search(r" furniture .*?(\d+) of (\d+)", rtcal("plan", path))
-    assert counted
     assert 0 < int(counted[1]) <= int(counted[2])
     assert re.search(r" furniture: (?!no other effect)", rtcal("plan", path, "--all"))
     assert "`rtcal plan`" in rtcal.refused("find", path)

@@ -1,10 +1,7 @@
 """The input of the discrepancy library: effects of one's own, cases, rooms used before."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,7 +47,7 @@ def refused(call: Callable[[], object], *words: str) -> None:
         assert word in str(caught.value)
 
 
-def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path: Path) -> None:
+def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path):
     case = opened()
     used = rt.calibrate(case.room, case.configurations[0].measured).room
     twice = Case(room=used, configurations=case.configurations)
@@ -69,7 +66,7 @@ def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.long
-def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) -> None:
+def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path):
     case = with_organ()
     effects = [Organ()]
     finding = find(case, effects=effects, controls=controls_of(case, 0.01))
@@ -90,7 +87,7 @@ def test_an_effect_of_one_s_own_is_added_verified_and_simulated(tmp_path: Path) 
     assert not target.exists()
 
 
-def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path: Path) -> None:
+def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path):
     class Wide(Opening):
         most = 3.0
 
@@ -119,7 +116,7 @@ def absorber(called: str | None, spectrum: object) -> Absorber:
         (lambda s, f, p: 1 / 0, "ZeroDivisionError"),
     ],
 )
-def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, place: str) -> None:
+def test_a_spectrum_that_breaks_a_rule_is_named(spectrum, place):
     case = opened()
     effects = [*library(), absorber("piano", spectrum)]
     refused(lambda: find(case, effects=effects, controls=controls_of(case)), '"piano"', place)
@@ -168,12 +165,12 @@ def changing(**fields: Any) -> Effect:
         ([changing(shape=lambda s: Decay(np.ones((7, 1)), -np.ones((7, 1))))], "rates"),
     ],
 )
-def test_what_is_no_effect_is_refused(effects: Any, place: str) -> None:
+def test_what_is_no_effect_is_refused(effects, place):
     case = opened()
     refused(lambda: find(case, effects=effects, controls=controls_of(case)), place)
 
 
-def test_the_discrepancy_of_another_case_is_refused() -> None:
+def test_the_discrepancy_of_another_case_is_refused():
     case = opened()
     finding = find(case, effects=[Opening()], controls=controls_of(case))
     for shape in (6, 70):

@@ -1,9 +1,5 @@
 """Stored figures: what moved is printed, figure by figure, and the same figures are the same bytes."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -16,7 +12,7 @@ def lines(before: object, now: object) -> list[str]:
     return found.lines
 
 
-def test_each_figure_that_moved_is_printed() -> None:
+def test_each_figure_that_moved_is_printed():
     before = {"verdict": "none", "p": {"a": 0.5, "b": 0.5}, "gap": np.ones((2, 2)), "n": 2}
     assert lines(before, before) == []
     now = {
@@ -39,7 +35,7 @@ def test_each_figure_that_moved_is_printed() -> None:
     ]
 
 
-def test_rounding_is_counted_and_has_not_moved() -> None:
+def test_rounding_is_counted_and_has_not_moved():
     found = golden.Differences()
     found.add({"x": [1.0, 100.0]}, {"x": [1.0 + 5e-8, 100.0]}, 1e-9)
     assert (found.lines, found.within) == ([], 1)
@@ -54,7 +50,7 @@ def test_rounding_is_counted_and_has_not_moved() -> None:
     assert lines({"gap": [1e-15, 5e-15]}, {"gap": [2e-12, 5e-15]}) != []
 
 
-def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_figures_are_kept_to_the_last_bit(tmp_path, monkeypatch):
     monkeypatch.setattr(golden, "STORED", tmp_path / "golden.json.gz")
     task = next(t for t in golden.every_task(False).items() if t[0].startswith("modes: "))
     name, figures, _ = golden.made(task)
@@ -65,14 +61,14 @@ def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.Mo
     assert golden.STORED.read_bytes() == once
 
 
-def test_every_task_has_a_kind_and_is_stored() -> None:
+def test_every_task_has_a_kind_and_is_stored():
     names = {*golden.every_task(False)}
     assert {golden.kind_of(n) for n in names} == set(golden.TOLERANCE)
     # Real rooms have their data beside the repository.
     assert {n for n in names if golden.kind_of(n) != "real"} <= set(golden.read())
 
 
-def test_only_rooms_of_development_are_read() -> None:
+def test_only_rooms_of_development_are_read():
     real = {c.name for c in golden.every_case() if c.part == "development"}
     named = {name.removeprefix("real: ") for name in golden.every_task(True)}
     judged = {c.name for c in golden.every_case()} - real

@@ -1,7 +1,5 @@
 """Memory and work grow with the number of materials and configurations, not with its square."""
 
-from __future__ import annotations
-
 import time
 import tracemalloc
 
@@ -49,7 +47,7 @@ ORDER = rt.Calibration(
 @pytest.mark.parametrize(
     "calibration", [preset("mle"), *also(*map(preset, ("soft", "robust", "smooth")), ORDER)]
 )
-def test_memory_of_a_calibration_is_linear_in_the_materials(calibration: rt.Calibration) -> None:
+def test_memory_of_a_calibration_is_linear_in_the_materials(calibration):
     peak(calibration, large_room(5))  # imports
     small, large = (peak(calibration, large_room(n)) for n in (200, 800))
     assert np.log(large / small) / np.log(4) < 1.2
@@ -72,7 +70,7 @@ def seconds_of_mending(n: int) -> float:
 
 
 @pytest.mark.long
-def test_time_of_mending_grows_with_the_faces_not_with_their_square() -> None:
+def test_time_of_mending_grows_with_the_faces_not_with_their_square():
     seconds_of_mending(20)  # imports
     small, large = (min(seconds_of_mending(n) for _ in range(2)) for n in (200, 800))
     assert np.log(large / small) / np.log(4) < 1.5

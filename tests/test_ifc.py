@@ -1,7 +1,5 @@
 """Building models: a space, its volume, and the materials of what bounds it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +74,6 @@ SQUARE = [(0.0, 0.0), (4000.0, 0.0), (4000.0, 5000.0), (0.0, 5000.0)]
 @pytest.mark.parametrize("gap", [0.0, 1e-4, 0.03, 0.4, 2.5, 9.0])
 @pytest.mark.parametrize("first", [0, *also(1, 2, 3)])
 def test_an_outline_that_is_nearly_closed_is_closed(tmp_path, gap, first, listed):
-    """Ends 0.4 mm apart were the library's "Failed to process shape"."""
     ring = SQUARE[first:] + SQUARE[:first]
     (x, y), (xn, yn) = ring[0], ring[-1]
     along = np.array([xn - x, yn - y]) / np.hypot(xn - x, yn - y)
@@ -98,7 +95,6 @@ def test_an_outline_that_is_nearly_closed_is_closed(tmp_path, gap, first, listed
     ],
 )
 def test_an_outline_that_bounds_no_floor_is_refused_in_own_words(tmp_path, corners, rule):
-    """One part of a crossed outline was the room: 22.5 m³ in silence."""
     path = outlined(tmp_path, corners)
     with pytest.raises(DataError, match=f'space "1 Study": .*{rule}'):
         mesh.room(path)

@@ -1,7 +1,5 @@
 """Impulse responses to parameters: exact decays, noise, range, filters, files."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np
@@ -91,7 +89,6 @@ def test_levels_of_normalised_files_are_refused(tmp_path, rtcal):
 
 
 def test_silence_before_the_direct_sound_moves_nothing():
-    """A file cut at its direct sound had up to 2 dB less C80: the filter's early part was lost."""
     direct = response(0.8, np.random.default_rng(5))[800:]
     direct[0] = 4.0  # the direct sound
     values = [
@@ -136,7 +133,6 @@ def test_the_backward_filter_keeps_a_short_decay():
 
 
 def test_a_clipped_response_is_noted(tmp_path):
-    """EDT of a response five times too loud was 20 % too long, without a word."""
     samples = response(0.8, np.random.default_rng(10))
     samples /= np.abs(samples).max()
     for name, content in (("S1_R1", samples), ("S1_R2", np.clip(5 * samples, -1, 1))):
@@ -196,7 +192,6 @@ LEAST = {"t20": 35.0, "t30": 45.0, "edt": 20.0}
     + also(*(f"{kind} {down}" for kind in ("cut", "zeros", "dither") for down in (28, 40, 66))),
 )
 def test_a_straight_decay_has_its_own_t_or_the_true_reason(how, t):
-    """A decay cut 40 dB down had a T20 3 % too short; few late rays were noise; there is none."""
     signal = damaged(how, straight(t), t)
     analysis = ir.analyse(pyfar.Signal(signal, 16000), bands=OCTAVES)
     down = float(how.split()[1]) if how.startswith(("cut", "zeros", "dither")) else 100.0
@@ -228,7 +223,6 @@ def test_noise_takes_what_it_covers_and_is_the_reason(down):
 @pytest.mark.parametrize("below", [10, 15, 22])
 @pytest.mark.parametrize("down", [26, 30, 33])
 def test_a_cut_decay_is_none_where_noise_follows(down, below):
-    """T20 was 3 to 10 % short, T30 up to 19 %: the fall was taken for that into noise."""
     rate, t = 8000, 1.0
     time = np.arange(int((down / 60 * t + 0.8) * rate)) / rate
     energy = np.where(time < down / 60 * t, 10 ** (-6 * time / t), 0.0)
@@ -246,7 +240,6 @@ CONTAINERS = "WAV FLAC AIFF W64 RF64 CAF"
     ("rate", "coding"), [(8000, "PCM_16"), *also((44100, "PCM_24"), (96000, "PCM_24"))]
 )
 def test_a_response_is_the_same_in_any_container(tmp_path, rate, coding):
-    """FLAC was "not a WAV file"."""
     whole = np.round(0.9 * straight(0.5, rate) * 2 ** (int(coding[-2:]) - 1)).astype(np.int32)
     whole <<= 32 - int(coding[-2:])
     analyses = {}
@@ -301,7 +294,6 @@ def no_impulse_response(kind: str, t: float, rng: np.random.Generator) -> np.nda
     "kind", ["sweep", "maximum-length sequence", "two sounds", "interrupted noise", "a burst"]
 )
 def test_what_is_no_impulse_response_is_not_evaluated(kind, noise, t):
-    """T20 of interrupted noise, 3 s in place of 0.8 s, was written below a note, and calibrated to."""
     rng = np.random.default_rng(25)
     recorded = no_impulse_response(kind, t, rng)
     recorded /= np.abs(recorded).max()
@@ -357,7 +349,6 @@ def test_files(tmp_path):
 
 
 def test_repeats_are_averaged_or_refused(tmp_path, rtcal):
-    """--repeats for sweep1.wav and sweep2.wav was taken, and both stayed positions of their own."""
     rng = np.random.default_rng(27)
     sweeps = [0.5 * h / np.abs(h).max() for h in (response(0.5, rng) for _ in range(3))]
     for name, h in zip(("S1-R1", "S1-R1#2", "S1-R2"), sweeps, strict=True):

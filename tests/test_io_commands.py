@@ -1,7 +1,5 @@
 """`rtcal measure`, `table`, `import` and `export`."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

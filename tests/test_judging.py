@@ -1,7 +1,5 @@
 """The benchmarks that judge the finder: rates, calibration of probabilities, what counts as right."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest
@@ -17,7 +15,7 @@ def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:
     return {"verdict": verdict, "effect": effect, **rest, **more}
 
 
-def test_the_interval_of_a_share_is_clopper_s_and_pearson_s() -> None:
+def test_the_interval_of_a_share_is_clopper_s_and_pearson_s():
     # 0 of n: 1 - 0.025^(1/n); the other ends mirror it.
     assert share([False] * 30) == pytest.approx((0.0, 0.0, 1 - 0.025 ** (1 / 30), 30))
     assert share([True] * 30) == pytest.approx((1.0, 0.025 ** (1 / 30), 1.0, 30))
@@ -25,7 +23,7 @@ def test_the_interval_of_a_share_is_clopper_s_and_pearson_s() -> None:
     assert share([True, False] * 5) == pytest.approx((0.5, 0.187, 0.813, 10), abs=5e-4)
 
 
-def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
+def test_calibration_error_is_the_mean_distance_over_the_bins():
     stated = [0.95] * 10 + [0.55] * 10
     right = [True] * 9 + [False] + [True] * 5 + [False] * 5
     error, bins = calibration_error(stated, right)
@@ -49,6 +47,6 @@ def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
         ({"air", "coefficients"}, row("named", "coefficients"), "right"),
     ],
 )
-def test_what_counts_as_right(names: set[str], said: dict[str, Any], wanted: str) -> None:
-    case = RealCase("x", "judging", "y", frozenset(names), lambda: None)  # type: ignore[arg-type,return-value]
+def test_what_counts_as_right(names, said, wanted):
+    case = RealCase("x", "judging", "y", frozenset(names), lambda: None)
     assert outcome(case, said) == wanted

@@ -1,7 +1,5 @@
 """Calibrations near the mean coefficient up to which Kuttruff's equation holds."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -90,7 +88,7 @@ def test_near_the_peak_there_is_an_answer_for_every_method(below, uncertain, met
     np.testing.assert_allclose(other.alpha, result.alpha, rtol=0, atol=1e-8)
 
 
-def test_band_without_time_beyond_the_peak_has_no_time_after() -> None:
+def test_band_without_time_beyond_the_peak_has_no_time_after():
     given = room([0.93, 0.3])
     result = rt.calibrate(given, [np.nan, 0.4], equation=KUTTRUFF)
     assert np.isnan(result.reverberation_time_after[0])

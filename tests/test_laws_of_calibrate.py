@@ -1,7 +1,5 @@
 """Plain questions to a calibration, over all methods, equations and kinds of uncertain rooms."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -139,7 +137,7 @@ def test_another_room_of_a_problem_has_its_bands():
         problem.solve(measured, other)
 
 
-def test_what_is_known_before_a_change_is_measured_where_t_was() -> None:
+def test_what_is_known_before_a_change_is_measured_where_t_was():
     room, measured = rt.datasets.bras_cr2()
     t = measured.reverberation_time.copy()
     t[1] = np.nan

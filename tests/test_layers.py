@@ -1,7 +1,5 @@
 """The shape of the house: imports go down only, and `import rtcal` stays light."""
 
-from __future__ import annotations
-
 import ast
 import functools
 import graphlib
@@ -78,7 +76,7 @@ def package(name: str) -> str | None:
     return parts[1] if parts[0] == "rtcal" and len(parts) > 1 else None
 
 
-def test_imports_go_down_only() -> None:
+def test_imports_go_down_only():
     wrong = []
     for path in modules():
         own = package(own_name(path))
@@ -97,7 +95,7 @@ def places(name: str) -> list[str]:
     return [part.removesuffix("_kernel") for part in name.split(".")]
 
 
-def test_independent_solvers_and_simulators_stand_apart() -> None:
+def test_independent_solvers_and_simulators_stand_apart():
     for path in modules():
         for first, second in SEPARATE:
             if first in places(own_name(path)):
@@ -106,7 +104,7 @@ def test_independent_solvers_and_simulators_stand_apart() -> None:
                     assert first in parts or second not in parts, f"{path} imports {name}"
 
 
-def test_no_import_circles() -> None:
+def test_no_import_circles():
     graph = {own_name(path): imports_of(path) & NAMES - {own_name(path)} for path in modules()}
     del graph["rtcal"]  # the public names
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError
@@ -126,7 +124,7 @@ def test_a_deferred_module_is_imported_at_the_first_call(tmp_path, monkeypatch):
     assert other == sys.modules.pop("slow").other == 5
 
 
-def test_cvxpy_is_imported_without_the_statistics_that_it_hardly_needs() -> None:
+def test_cvxpy_is_imported_without_the_statistics_that_it_hardly_needs():
     code = """
 import sys
 from rtcal.calibration.unknowns import cp
@@ -142,7 +140,7 @@ print(entropy([1, 1]), "scipy.stats" in sys.modules)
     assert float(value) == pytest.approx(math.log(2))
 
 
-def test_import_is_light() -> None:
+def test_import_is_light():
     heavy = ("cvxpy", "scipy", "numba", "matplotlib", "clarabel", "osqp", "qpsolvers", "click")
     code = f"import rtcal, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

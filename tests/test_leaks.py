@@ -1,7 +1,5 @@
 """Meshes with a hole: what leaves, V and S by rays, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Linear observations in the QP: against generalised least squares, compiled once, wrong numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -94,7 +94,6 @@ def test_a_table_that_lacks_something_is_refused_and_nothing_is_written(
     ("factor", "step"), [(10, 2), (0.1, 1), *also(*((f, s) for f in (0.05, 20) for s in (1, 2)))]
 )
 def test_a_simulation_in_another_unit_is_named_first(cr2, tmp_path, factor, step, rtcal):
-    """It was taken in silence: alpha went to its bounds to follow a decimal point."""
     room, measured = cr2
     following, _ = begun(room, measured, tmp_path)
     for _ in range(1, step):
@@ -126,7 +125,6 @@ def test_the_last_step_is_taken_back(cr2, tmp_path, rtcal):
 
 
 def test_t_of_other_coefficients_is_refused(cr2, tmp_path, rtcal):
-    """A table that belongs to the room of another step was taken in: "converged" at a wrong T."""
     room, measured = cr2
     step, _ = begun(room, measured, tmp_path)
     _, first = written(tmp_path)

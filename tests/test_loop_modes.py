@@ -1,7 +1,5 @@
 """The closed loop takes room modes along: below the Schroeder frequency they replace T."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Meshes with material names, and tables of measured values."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -20,7 +18,7 @@ ROOMS = tomllib.loads((FOLDER / "rooms.toml").read_text("utf-8"))
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_a_file_has_the_room_that_is_drawn(name: str) -> None:
+def test_a_file_has_the_room_that_is_drawn(name):
     """Every format, and what stands for the materials in it: layers, colours, groups, objects."""
     done, drawn = mesh.room(FOLDER / name), ROOMS[name]
     assert done.volume == pytest.approx(drawn["volume"], rel=1e-6)
@@ -29,14 +27,13 @@ def test_a_file_has_the_room_that_is_drawn(name: str) -> None:
     assert any("not faces: 1 LINE" in note for note in done.notes) == name.endswith(".dxf")
 
 
-def test_a_stated_unit_replaces_the_file_s() -> None:
+def test_a_stated_unit_replaces_the_file_s():
     done = mesh.room(FOLDER / "mesh.dxf", unit=0.01)
     assert done.volume == pytest.approx(1000 * ROOMS["mesh.dxf"]["volume"], rel=1e-9)
     assert "a unit of 0.001 m, but 0.01 m was given" in done.notes[0]
 
 
-def test_a_mesh_in_another_unit_is_refused() -> None:
-    """A room of 5 m x 4 m x 3 m in mm, read as m, had 6e10 m³ and was taken for a room."""
+def test_a_mesh_in_another_unit_is_refused():
     in_mm = Polyhedron.shoebox((5000, 4000, 3000), "plaster")
     vertices = "".join("v " + " ".join(f"{x:g}" for x in v) + "\n" for v in in_mm.vertices)
     faces = "".join("f " + " ".join(str(i + 1) for i in f) + "\n" for f in in_mm.faces)
@@ -48,7 +45,7 @@ def test_a_mesh_in_another_unit_is_refused() -> None:
         obj.parse(fuzz.OBJ[0], unit=0.001)
 
 
-def test_a_room_of_a_mesh_and_a_list() -> None:
+def test_a_room_of_a_mesh_and_a_list():
     box = obj.parse(fuzz.OBJ[0])
     listed = catt.parse(b"ABS wood = <10 10 10 10 10 10>\nABS brick = <2 2 2 2 2 2>\n")
     room = listed.room(name="box", volume=box.volume, areas=box.surfaces)
@@ -56,7 +53,7 @@ def test_a_room_of_a_mesh_and_a_list() -> None:
     assert {s.axis for s in room.surfaces} == {"x", "y", "z"}
 
 
-def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
+def test_a_written_mesh_reads_back(tmp_path):
     first = Polyhedron.shoebox((5.1, 7.3, 3.7), "plaster")
     first.save(tmp_path / "a.obj")
     again = obj.read(tmp_path / "a.obj")
@@ -65,8 +62,7 @@ def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
     assert np.array_equal(again.vertices, first.vertices)
 
 
-def test_faces_without_a_group_have_the_name_of_their_material() -> None:
-    """ "face 1" was named where the mesh says floor."""
+def test_faces_without_a_group_have_the_name_of_their_material():
     materials = {**dict.fromkeys(SHOEBOX_WALLS, "plaster"), "floor": "parquet", "ceiling": "tiles"}
     box = Polyhedron.shoebox((4, 5, 3), materials)
     text = re.sub(r"(?m)^[go] .*\n", "", box.to_text())

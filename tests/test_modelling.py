@@ -1,7 +1,5 @@
 """Composed calibrations: compile once, every solver agrees, what is proved holds."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import cvxpy as cp
@@ -58,7 +56,7 @@ ONE_OR_TWO = [*((n,) for n in INGREDIENTS), *also(*((p,) for p in PAIRS))]
 
 
 @pytest.mark.parametrize("names", ONE_OR_TWO, ids=" & ".join)
-def test_changed_data_resolve_without_compiling(names: tuple[str, ...], compilations) -> None:
+def test_changed_data_resolve_without_compiling(names, compilations):
     """Prior, areas, volume, air, T and missing bands change; the answer follows."""
     rng = np.random.default_rng(len(names[0]) + 7 * len(names[-1]))
     room = a_room(rng)
@@ -83,7 +81,7 @@ def test_changed_data_resolve_without_compiling(names: tuple[str, ...], compilat
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_theorem_separable_sigma_exact_match_no_bound(seed: int) -> None:
+def test_theorem_separable_sigma_exact_match_no_bound(seed):
     """sigma_ik = u_i v_k, one band correlation, exact match, no bound: nothing changes alpha."""
     rng = np.random.default_rng(seed)
     room = random_room(rng, 6, 8)
@@ -122,9 +120,7 @@ def test_theorem_separable_sigma_exact_match_no_bound(seed: int) -> None:
     st.sampled_from([0.7, 1.0, 1.5]),
 )
 @settings(max_examples=25)
-def test_random_compositions_are_certified_by_two_solvers(
-    seed: int, names: list[str], shift: float, factor: float
-) -> None:
+def test_random_compositions_are_certified_by_two_solvers(seed, names, shift, factor):
     """Also near the box and far from the prior; or the contradiction is named."""
     if {"correlated", "huber"} <= set(names):
         names.remove("huber")
@@ -146,13 +142,13 @@ def test_random_compositions_are_certified_by_two_solvers(
         np.testing.assert_allclose(found[0].alpha, found[1].alpha, rtol=0, atol=1e-6)
 
 
-def test_constraints_do_what_they_say() -> None:
+def test_constraints_do_what_they_say():
     rng = np.random.default_rng(5)
     room = a_room(rng)
     t = true_times(rng, room, EYRING) * 0.9
     exact = terms.ExactMatch()
 
-    def solved(*constraints: object, objective: object = PRIOR) -> rt.CalibrationResult:
+    def solved(*constraints: object, objective: object = PRIOR):
         return rt.Calibration(objective, list(constraints)).build(room).solve(t)
 
     plain = solved(exact)
@@ -189,7 +185,7 @@ def test_constraints_do_what_they_say() -> None:
     assert np.abs(within.shift_in_sigmas).max() < np.abs(plain.shift_in_sigmas).max()
 
 
-def test_an_effect_is_found_beside_alpha() -> None:
+def test_an_effect_is_found_beside_alpha():
     rng = np.random.default_rng(3)
     room = random_room(rng, 5, 3).replace(sigma=np.full((5, 3), 0.002))
     gain = np.array([1.0, 4.0, 2.0])
@@ -207,7 +203,7 @@ def test_an_effect_is_found_beside_alpha() -> None:
     assert rt.Calibration(PRIOR + term).build(room).solve(t).effects["opening"] == 0.0
 
 
-def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
+def test_a_contradiction_is_explained_by_the_smallest_relaxation():
     room = room_of({"a": (50, 0.3, 0.1), "b": (50, 0.3, 0.1)}, [1000], 60, name="two")
     t = EYRING.time(room, np.array([30.0]))
     constraints = [terms.ExactMatch(), terms.GroupAbsorption(["a"], least=40.0)]
@@ -247,7 +243,7 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
         rt.Calibration(PRIOR).build(twice).solve([t, 1.2 * t])
 
 
-def test_two_configurations_determine_two_materials() -> None:
+def test_two_configurations_determine_two_materials():
     """Exact in both, without noise: the two coefficients are determined."""
     a = room_of(
         {"wall": (90, [0.3, 0.4], 0.1), "curtain": (10, [0.5, 0.6], 0.1)},
@@ -274,7 +270,7 @@ def test_two_configurations_determine_two_materials() -> None:
     np.testing.assert_allclose(same.alpha, rt.calibrate(a, times[0]).alpha, atol=1e-9)
 
 
-def test_a_function_is_a_term() -> None:
+def test_a_function_is_a_term():
     """An expression to be minimised or constraints: nothing else has to be stated."""
     rng = np.random.default_rng(6)
     room = a_room(rng)
@@ -314,7 +310,7 @@ class Levels:
         return np.asarray(rows.reshape(len(by_area), -1))
 
 
-def test_a_kind_of_data_from_outside_is_fitted() -> None:
+def test_a_kind_of_data_from_outside_is_fitted():
     """No file of the package knows it: the fit ends where the objective with its own model is least."""
     room = random_room(np.random.default_rng(8))
     term = terms.LinearObservations("levels")

@@ -1,7 +1,5 @@
 """Modes below the Schroeder frequency: closed forms, poles, tables, and the calibration to them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modes of any room by finite elements: exact meshes, convergence, closed forms."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

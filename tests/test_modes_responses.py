@@ -1,7 +1,5 @@
 """Modes of impulse responses: known poles, what is left out, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One name for one thing: modules, functions, classes and the public lists are walked."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re
@@ -28,7 +26,7 @@ Trees = dict[str, ast.Module]
 
 
 @pytest.fixture(scope="module")
-def trees() -> Trees:
+def trees():
     """Every module, parsed. It goes with these tests: millions of nodes slow what collects garbage."""
     return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
 
@@ -43,7 +41,7 @@ def definitions(trees: Trees, kind: type[ast.FunctionDef | ast.ClassDef]) -> lis
     ]
 
 
-def test_no_two_classes_have_one_name(trees: Trees) -> None:
+def test_no_two_classes_have_one_name(trees):
     names = (name for _, name in definitions(trees, ast.ClassDef) if not name.startswith("_"))
     assert {name for name, n in Counter(names).items() if n > 1} == set()
 
@@ -64,7 +62,7 @@ FORMULA = re.compile(r"[²½]|⁻¹|\^")
 SOURCE = re.compile(r"(18|19|20)\d\d|ISO|IEC|Eqs?\.|docs/\w+\.md")
 
 
-def test_every_formula_has_a_source() -> None:
+def test_every_formula_has_a_source():
     """The source is a publication, a standard, or the page that derives it."""
     with_formula = []
     for name, value in public_objects().items():
@@ -99,7 +97,7 @@ OPTIONS = options_by_name()
 
 
 @pytest.mark.parametrize("option", sorted(OPTIONS.keys() - {"--out"}))
-def test_an_option_is_the_same_in_every_command(option: str) -> None:
+def test_an_option_is_the_same_in_every_command(option):
     first, *others = OPTIONS[option].values()
     for other in others:
         assert other == first
@@ -107,7 +105,7 @@ def test_an_option_is_the_same_in_every_command(option: str) -> None:
     assert not first["hidden"], option
 
 
-def test_every_command_that_prints_prints_json_and_can_be_quiet() -> None:
+def test_every_command_that_prints_prints_json_and_can_be_quiet():
     commands = {command for stated in OPTIONS.values() for command in stated} - {""}
     assert {*OPTIONS["--json"]} == {*OPTIONS["--quiet"]} == {*OPTIONS["-q"]} == commands
 
@@ -128,7 +126,7 @@ def public_paths() -> dict[str, Any]:
     return paths
 
 
-def test_every_public_object_has_one_path() -> None:
+def test_every_public_object_has_one_path():
     """`rtcal.calibrate`, `rtcal.calibration.calibrate`: a reader asks how they differ."""
     paths = public_paths()
     assert len(paths) > 100

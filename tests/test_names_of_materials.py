@@ -1,7 +1,5 @@
 """What people call a material finds its entry of the catalogue first."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from pathlib import Path
@@ -62,7 +60,7 @@ WANTED = {
 
 
 @pytest.mark.parametrize("name", WANTED)
-def test_a_name_that_people_use_finds_its_entry_first(name: str) -> None:
+def test_a_name_that_people_use_finds_its_entry_first(name):
     assert catalogue.similar(name, 1)[0] in WANTED[name].split()
 
 
@@ -75,7 +73,7 @@ NAMED = [
 
 
 @pytest.mark.parametrize(("entries", "names"), NAMED, ids=lambda each: each[0])
-def test_names_find_their_entry_or_are_refused(entries: list[str], names: list[str]) -> None:
+def test_names_find_their_entry_or_are_refused(entries, names):
     for name in names:
         try:
             first = catalogue.found(name)[0]
@@ -84,7 +82,7 @@ def test_names_find_their_entry_or_are_refused(entries: list[str], names: list[s
         assert first in entries, name
 
 
-def test_the_names_are_many_and_their_entries_are_in_the_catalogue_too() -> None:
+def test_the_names_are_many_and_their_entries_are_in_the_catalogue_too():
     assert sum(len(names) for _, names in NAMED) > 700
     assert {entry for entries, _ in NAMED for entry in entries} <= {"-", *catalogue.names()}
 
@@ -109,7 +107,7 @@ def test_the_names_are_many_and_their_entries_are_in_the_catalogue_too() -> None
         ("brique xyzzy", "brick_unglazed"),
     ],
 )
-def test_a_name_is_taken_apart(name: str, entry: str | None) -> None:
+def test_a_name_is_taken_apart(name, entry):
     if entry is None:
         with pytest.raises(DataError):
             catalogue.found(name)
@@ -118,7 +116,7 @@ def test_a_name_is_taken_apart(name: str, entry: str | None) -> None:
 
 
 @pytest.mark.parametrize("name", ["sofa", "grass", "xyzzy"])
-def test_a_name_that_shares_letters_alone_finds_nothing(name: str) -> None:
+def test_a_name_that_shares_letters_alone_finds_nothing(name):
     assert catalogue.similar(name) == []
 
 
@@ -135,7 +133,7 @@ def test_a_name_that_shares_letters_alone_finds_nothing(name: str) -> None:
         ("offenes Fenster", "open_window"),
     ],
 )
-def test_a_name_of_any_form_means_its_entry(name: str, entry: str) -> None:
+def test_a_name_of_any_form_means_its_entry(name, entry):
     assert catalogue.found(name)[0] == entry
     if entry == "open_window":
         assert catalogue.material(entry, [125, 1000]).alpha == [1.0, 1.0]
@@ -159,25 +157,25 @@ def test_a_name_of_any_form_means_its_entry(name: str, entry: str) -> None:
         ("Sofa", "pieces (`rtcal room --object`): upholstered chair, theatre seat"),
     ],
 )
-def test_what_has_no_entry_is_refused_with_the_nearest_names(name: str, words: str) -> None:
+def test_what_has_no_entry_is_refused_with_the_nearest_names(name, words):
     with pytest.raises(DataError, match=re.escape(words)):
         catalogue.found(name)
 
 
-def test_things_without_an_entry_name_entries() -> None:
+def test_things_without_an_entry_name_entries():
     path = Path(catalogue.__file__).with_name("material_names.toml")
     near = tomllib.loads(path.read_text(encoding="utf-8"))["near"]
     every = {*catalogue.names(), *catalogue.pieces()}
     assert {n.strip() for each in near.values() for n in each.split(",")} <= every
 
 
-def test_the_names_are_thirty_and_their_entries_are_in_the_catalogue() -> None:
+def test_the_names_are_thirty_and_their_entries_are_in_the_catalogue():
     assert len(WANTED) == 30
     entries = {entry for each in WANTED.values() for entry in each.split()}
     assert entries <= {*catalogue.names()}
 
 
-def test_a_stated_name_means_one_entry_of_the_catalogue() -> None:
+def test_a_stated_name_means_one_entry_of_the_catalogue():
     path = Path(catalogue.__file__).with_name("material_names.toml")
     stated = tomllib.loads(path.read_text(encoding="utf-8"))
     assert {*stated["names"]} <= {*catalogue.names()}
@@ -186,7 +184,7 @@ def test_a_stated_name_means_one_entry_of_the_catalogue() -> None:
             assert catalogue.similar(name, 1) == [entry]
 
 
-def test_every_entry_has_a_source_a_mounting_and_a_sigma() -> None:
+def test_every_entry_has_a_source_a_mounting_and_a_sigma():
     for listed in catalogue.material_list().materials:
         entry = catalogue.material(listed.name, listed.centre_frequencies)
         works = r"Sabine \(1900\)|Vorländer 2008|Cox and D'Antonio|Bies, Hansen|DIN 18041"

@@ -1,7 +1,5 @@
 """Native files: what is read is written and read back; what breaks a rule is refused by its place."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -58,7 +56,7 @@ def good(name: str) -> str:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_the_whole_format_is_read(name: str, tmp_path: Path) -> None:
+def test_the_whole_format_is_read(name, tmp_path):
     """Every key stands in it, so that a key that no longer reads is seen."""
     (tmp_path / name).write_text(good(name), encoding="utf-8")
     assert READERS[name](tmp_path / name)
@@ -77,9 +75,7 @@ BROKEN += [
 
 
 @pytest.mark.parametrize(("name", "old", "new", "place"), BROKEN)
-def test_what_breaks_a_rule_is_refused_with_its_place(
-    name: str, old: str, new: str, place: str, tmp_path: Path
-) -> None:
+def test_what_breaks_a_rule_is_refused_with_its_place(name, old, new, place, tmp_path):
     text, read = good(name), READERS[name]
     assert old in text
     (tmp_path / name).write_text(text.replace(old or text, new), encoding="utf-8")
@@ -95,7 +91,7 @@ def test_what_breaks_a_rule_is_refused_with_its_place(
 
 
 @pytest.mark.parametrize("value", ["true", '"1.5"', "null", "[]", "1" + "0" * 350, "1e999", "{}"])
-def test_only_numbers_are_numbers(value: str, tmp_path: Path) -> None:
+def test_only_numbers_are_numbers(value, tmp_path):
     path = tmp_path / "case.json"
     for name in ("volume", "area", "alpha", "t20", "band_correlation"):
         data = opened().to_dict()
@@ -130,7 +126,7 @@ T20 = {"values": {"t20": [[1] * 7]}}
         ({"distances": "far"}, "distances = 'far' must be a list of numbers"),
     ],
 )
-def test_what_is_no_case_is_refused_with_its_place(change: dict[str, Any], place: str) -> None:
+def test_what_is_no_case_is_refused_with_its_place(change, place):
     data = opened().to_dict()
     keys = {"room", "uncertainty", "climate_uncertainty", "configuration"}
     of_configuration = {"name": "A", "measured": T20} | change
@@ -140,7 +136,7 @@ def test_what_is_no_case_is_refused_with_its_place(change: dict[str, Any], place
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_other_encodings_are_refused(name: str, tmp_path: Path) -> None:
+def test_other_encodings_are_refused(name, tmp_path):
     """A guess would change names in silence."""
     content = good(name).replace("a", "ä", 1).encode("latin-1", "replace")
     (tmp_path / name).write_bytes(content)
@@ -158,7 +154,7 @@ def toml_blocks() -> list[str]:
 
 
 @pytest.mark.parametrize("text", toml_blocks())
-def test_a_room_s_file_is_written_and_read_back(text: str) -> None:
+def test_a_room_s_file_is_written_and_read_back(text):
     room = rt.Room.from_text(text, "room.toml")
     plain = room.to_dict()
     again = rt.Room.from_text(room.to_text(), "again.toml")
@@ -167,7 +163,7 @@ def test_a_room_s_file_is_written_and_read_back(text: str) -> None:
     assert again.to_text() == rt.Room.from_text(again.to_text(), "third.toml").to_text()
 
 
-def test_names_come_back_whatever_they_are() -> None:
+def test_names_come_back_whatever_they_are():
     for name in ('quo"te', "back\\slash", "$\\frac$", "講堂", "[1.0,", "a  b", "#", "'"):
         room, _ = rt.datasets.bras_cr2()
         room = room.replace(name=name, sources={room.materials[0]: name})
@@ -177,9 +173,7 @@ def test_names_come_back_whatever_they_are() -> None:
 
 
 @pytest.mark.parametrize("name", ["=1+1", "+S1", "-R1", "@home", '=HYPERLINK("x")'])
-def test_a_name_is_no_formula_to_the_program_that_opens_the_table(
-    name: str, tmp_path: Path
-) -> None:
+def test_a_name_is_no_formula_to_the_program_that_opens_the_table(name, tmp_path):
     from rtcal.io import tables
 
     measured = rt.Measurement(

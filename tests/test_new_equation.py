@@ -1,13 +1,9 @@
 """A new reverberation equation costs one file: calibration, cases, loops and commands ask it."""
 
-from __future__ import annotations
-
 import sys
 import types
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -40,7 +36,7 @@ class Quadratic(LinearEquation):
 
 
 @pytest.fixture
-def quadratic() -> Iterator[type[Any]]:
+def quadratic():
     module = types.ModuleType("quadratic_equation")
     vars(module).update(LinearEquation=LinearEquation, ClassVar=ClassVar, np=np)
     exec(ONE_FILE, vars(module))
@@ -49,12 +45,12 @@ def quadratic() -> Iterator[type[Any]]:
     del EQUATIONS["quadratic"], sys.modules[module.__name__]
 
 
-def test_each_equation_is_registered() -> None:
+def test_each_equation_is_registered():
     assert set(EQUATIONS) == {"arau", "eyring", "fitzroy", "kuttruff", "millington", "sabine"}
     assert equation_keys(LinearEquation) == ("eyring", "kuttruff", "sabine")
 
 
-def test_a_new_equation_calibrates(quadratic: type[Any], cr2) -> None:
+def test_a_new_equation_calibrates(quadratic, cr2):
     room, measured = cr2
     result = rt.calibrate(room, measured, equation=quadratic())
     np.testing.assert_allclose(result.gap_after, 0, atol=1e-9)
@@ -63,7 +59,7 @@ def test_a_new_equation_calibrates(quadratic: type[Any], cr2) -> None:
     np.testing.assert_allclose(simulated.mean("t20"), result.measured, rtol=1e-5)
 
 
-def test_a_new_equation_is_a_case_s_model(quadratic: type[Any]) -> None:
+def test_a_new_equation_is_a_case_s_model(quadratic):
     case, _ = rt.datasets.hidden_room()
     case = replace(case, equation="quadratic")
     made = state(case, case.configurations[0])
@@ -78,9 +74,7 @@ def test_a_new_equation_is_a_case_s_model(quadratic: type[Any]) -> None:
     assert room.calibration.equation == "Quadratic"
 
 
-def test_a_new_equation_is_kept_in_a_saved_loop(
-    quadratic: type[Any], cr2, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_new_equation_is_kept_in_a_saved_loop(quadratic, cr2, tmp_path, monkeypatch):
     room, measured = cr2
     loop = start(room, measured, equation=quadratic())
     loop.save(str(tmp_path / "loop.json"))
@@ -91,7 +85,7 @@ def test_a_new_equation_is_kept_in_a_saved_loop(
 
 
 @pytest.mark.parametrize("equation", ["sabine", "eyring", "kuttruff", "millington"])
-def test_a_case_is_calibrated_with_its_own_equation(equation: str) -> None:
+def test_a_case_is_calibrated_with_its_own_equation(equation):
     """Kuttruff's was calibrated by one step of Eyring's, which missed T by 0.4 %.
 
     The fit ends where a step changes the objective no more, a millionth of T from the measured one.

@@ -1,7 +1,5 @@
 """The next measurement: the information of a measurement, and what `plan` makes of it."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -30,7 +28,7 @@ def two(apart: float, correlation: float = 0.0) -> Moments:
 
 
 @pytest.fixture
-def normal(monkeypatch: pytest.MonkeyPatch) -> None:
+def normal(monkeypatch):
     """Normal densities, for which the information is an integral."""
     monkeypatch.setattr(densities, "DEGREES", np.inf)
 
@@ -41,7 +39,7 @@ FIRST = np.array([True, False])
 
 @pytest.mark.usefixtures("normal")
 @pytest.mark.parametrize("apart", [0.0, 1.0, 2.0, 8.0])
-def test_information_is_the_mutual_information(apart: float) -> None:
+def test_information_is_the_mutual_information(apart):
     half = np.full(2, 0.5)
     about = Information(two(apart), half, np.arange(2), np.zeros(2, dtype=bool))
 
@@ -56,7 +54,7 @@ def test_information_is_the_mutual_information(apart: float) -> None:
 
 
 @pytest.mark.usefixtures("normal")
-def test_what_is_measured_already_says_the_noise_of_what_is_to_come() -> None:
+def test_what_is_measured_already_says_the_noise_of_what_is_to_come():
     """A feature without news of its own cancels the error that the next has in common with it."""
     half, values = np.full(2, 0.5), np.zeros(1)
     of = [
@@ -67,7 +65,7 @@ def test_what_is_measured_already_says_the_noise_of_what_is_to_come() -> None:
     assert nothing.of(FIRST) == 0.0
 
 
-def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> None:
+def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first():
     c = compared(*BOTH)
     further = possible(c.case)
     whole, measured, masks = extended(c, further)
@@ -82,7 +80,7 @@ def test_the_model_s_error_of_a_further_configuration_is_that_of_the_first() -> 
     assert not any((mask & measured).any() for mask in masks)
 
 
-def test_a_plan_proposes_the_most_information_per_hour_and_then_goes_on() -> None:
+def test_a_plan_proposes_the_most_information_per_hour_and_then_goes_on():
     case = case_with(*BOTH).only("t20")
     before = plan(case)
     assert [p.per_cost for p in before.proposals] == sorted(
@@ -98,8 +96,7 @@ def test_a_plan_proposes_the_most_information_per_hour_and_then_goes_on() -> Non
     assert json.loads(json.dumps(before.to_dict(), allow_nan=False))["sequence"]
 
 
-def test_each_effect_that_cannot_be_taken_out_has_a_way_to_confirm_it() -> None:
-    """The advice was "look it up", without where."""
+def test_each_effect_that_cannot_be_taken_out_has_a_way_to_confirm_it():
     fixed = [e.name for e in checked_effects(None) if not e.removable]
     assert fixed
     assert [name for name in fixed if name not in CHECKS] == []

@@ -1,7 +1,5 @@
 """Every notebook runs, a study is judged by its own rule, and what is stored is what its code gives."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -84,7 +82,7 @@ def named(paths: list[Path]) -> Any:
 
 @pytest.mark.long
 @named(TUTORIALS)
-def test_tutorials_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tutorials_run(path, monkeypatch):
     names = run(path, monkeypatch)
     assert "result" in names
     if path.stem == "model_by_file_exchange":
@@ -94,7 +92,7 @@ def test_tutorials_run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.long
 @named(STUDIES)
-def test_studies_pass_their_rule_in_fast_mode(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_studies_pass_their_rule_in_fast_mode(path, monkeypatch):
     names = run(path, monkeypatch)
     if path.stem in CLAIMS:
         assert "passed" not in names
@@ -115,7 +113,7 @@ def test_studies_pass_their_rule_in_fast_mode(path: Path, monkeypatch: pytest.Mo
 
 @pytest.mark.study
 @named(STUDIES)
-def test_studies_pass_their_rule_in_full(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_studies_pass_their_rule_in_full(path, monkeypatch):
     names = run(path, monkeypatch, fast=False)
     if path.stem in CLAIMS:
         assert tuple(names["claims"].counts.values()) == CLAIMS[path.stem]
@@ -124,7 +122,7 @@ def test_studies_pass_their_rule_in_full(path: Path, monkeypatch: pytest.MonkeyP
 
 
 @named(NOTEBOOKS)
-def test_what_is_stored_is_one_clean_run(path: Path) -> None:
+def test_what_is_stored_is_one_clean_run(path):
     code = cells(path, "code")
     assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
     outputs = [out for cell in code for out in cell["outputs"]]

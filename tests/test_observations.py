@@ -1,7 +1,5 @@
 """Observations at positions and their derivatives: against differences, by material and by surface."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

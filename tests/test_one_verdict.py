@@ -1,10 +1,7 @@
 """One verdict: seeds, and the order of materials, change nothing of what a search by means says."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,7 +56,7 @@ ALL = [(order, seed) for order in range(3) for seed in SEEDS]
 
 @pytest.mark.long
 @pytest.mark.parametrize("tried", [[(0, 0), (1, 5)], *also(ALL)], ids=len)
-def test_the_shipped_room_has_one_verdict(tried: list[tuple[int, int]], kept: Path) -> None:
+def test_the_shipped_room_has_one_verdict(tried, kept):
     case = rt.datasets.hidden_room()[0]
     said = {*one_verdict(case, kept, tried)}
     assert len(said) == 1, said
@@ -68,12 +65,12 @@ def test_the_shipped_room_has_one_verdict(tried: list[tuple[int, int]], kept: Pa
 
 @pytest.mark.long
 @pytest.mark.parametrize(("world", "kind"), ROOMS)
-def test_drawn_rooms_have_one_verdict(world: int, kind: Any, tmp_path: Any) -> None:
+def test_drawn_rooms_have_one_verdict(world, kind, tmp_path):
     said = {*one_verdict(drawn(world, kind), tmp_path, ALL)}
     assert len(said) == 1, said
 
 
-def test_what_is_drawn_belongs_to_a_name() -> None:
+def test_what_is_drawn_belongs_to_a_name():
     case = rt.datasets.hidden_room()[0]
     one = draw_alpha(case, np.random.default_rng(5), 6)
     for order in orders(case):
@@ -109,10 +106,7 @@ def test_what_is_drawn_belongs_to_a_name() -> None:
         (np.nan, np.nan, np.nan, None),
     ],
 )
-def test_a_doubt_near_its_limit_is_a_probability(
-    before: float, after: float, uncertainty: float, code: str | None
-) -> None:
-    """It took a family back from 0.1 JND on, and left it at 0.099."""
+def test_a_doubt_near_its_limit_is_a_probability(before, after, uncertainty, code):
     gap = GapCheck(before, after, uncertainty, 0.0)
     doubt = gap_against("furniture", gap)
     assert (doubt and doubt.code) == code
@@ -128,8 +122,6 @@ def test_a_doubt_near_its_limit_is_a_probability(
         (0.0, 0.95, 0.95, False),
     ],
 )
-def test_where_nothing_has_a_fair_part_nothing_is_called_missing(
-    none: float, effect: float, family: float, weak: bool
-) -> None:
+def test_where_nothing_has_a_fair_part_nothing_is_called_missing(none, effect, family, weak):
     probabilities = {"none": none, "opening": effect, "furniture": 0.1}
     assert bool(too_weak(probabilities, {"none": none, "added absorption": family})) is weak

@@ -1,7 +1,5 @@
 """Bellows & Katz (2025): the printed examples, by the closed forms and by the QP."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -30,7 +28,7 @@ def calibrated(areas, mu, sigma, truth, method: str, solver: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "osqp"])
-def test_figure_1(solver: str) -> None:
+def test_figure_1(solver):
     """5 x 4 x 3 m, floor 0.2, rest 0.4, estimated 0.4 and 0.6; the paper prints T 0.29 and 0.19 s."""
     room = room_of([20, 74], [0.4, 0.6], [0.1, 0.1])
     truth = room.replace(alpha=np.array([[0.2], [0.4]]))
@@ -46,7 +44,7 @@ def test_figure_1(solver: str) -> None:
 @pytest.mark.parametrize(
     ("sigma_2", "printed"), [(0.05, (0.45, 0.35)), (0.1, (0.54, 0.26)), (0.2, (0.58, 0.22))]
 )
-def test_figure_3(sigma_2: float, printed: tuple[float, float], solver: str) -> None:
+def test_figure_3(sigma_2, printed, solver):
     found = calibrated([47, 47], [0.6, 0.5], [0.05, sigma_2], [0.6, 0.2], "mle", solver)
     np.testing.assert_array_equal(found.round(2), printed)
 
@@ -72,12 +70,12 @@ def table_1() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("method", ["ref", "lse", "mle"])
-def test_table_1_calibrated_values(method: str) -> None:
+def test_table_1_calibrated_values(method):
     """Within 0.01, because its inputs are printed to two digits."""
     np.testing.assert_allclose(table_1()[method], PRINTED[method], rtol=0, atol=0.01)
 
 
-def test_table_1_mse_row_is_a_power_of_ten_off() -> None:
+def test_table_1_mse_row_is_a_power_of_ten_off():
     """The printed row 34.1 26.9 23.6 20.4 (x 1e-4) is ten times what its own columns give."""
     ours = {"none": MU, **table_1()}
     mse = {name: 1e4 * np.mean((alpha - TRUTH) ** 2) for name, alpha in ours.items()}
@@ -86,7 +84,7 @@ def test_table_1_mse_row_is_a_power_of_ten_off() -> None:
         assert 0.5 < 10 * mse[name] / printed < 1.5
 
 
-def test_equations_11_12_26_27_agree_with_the_projection() -> None:
+def test_equations_11_12_26_27_agree_with_the_projection():
     """The paper's constants C and D, written out from T, give the same coefficients."""
     room = room_of(AREAS, MU, SIGMA).replace(air=rt.Air())
     for equation in (SABINE, rt.Eyring(speed_of_sound=PAPER_SPEED_OF_SOUND)):

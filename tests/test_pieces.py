@@ -1,13 +1,10 @@
 """Persons and chairs: absorption without a surface, in every equation, calibration and file."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib
 from dataclasses import replace
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -29,7 +26,6 @@ from rtcal.finder.model import DirectionalDecay, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
-from tests.conftest import Commands
 from tests.test_discrepancy import controls_of
 
 F = [500.0, 1000.0]
@@ -46,7 +42,7 @@ def room(*objects: Piece, **stated: object) -> Room:
     )
 
 
-def test_pieces_are_in_a_and_not_in_s() -> None:
+def test_pieces_are_in_a_and_not_in_s():
     with_them, without = room(PERSONS), room()
     assert with_them.total_area == without.total_area == 222
     added = 30 * np.array([0.5, 1.2])
@@ -62,7 +58,7 @@ def test_pieces_are_in_a_and_not_in_s() -> None:
     assert rt.Millington().reverberation_time(with_them) == pytest.approx(millington)
 
 
-def test_a_box_with_even_walls_has_eyrings_t_by_axes() -> None:
+def test_a_box_with_even_walls_has_eyrings_t_by_axes():
     wall = Material("wall", [0.1, 0.1], [0.02, 0.02])
     sides = [("a", "x", 21), ("b", "y", 27), ("c", "z", 63)]
     surfaces = [rt.Surface(name, "wall", 2 * area, axis) for name, axis, area in sides]
@@ -79,7 +75,7 @@ def test_a_box_with_even_walls_has_eyrings_t_by_axes() -> None:
         assert equation.reverberation_time(even) == pytest.approx(expected)
 
 
-def test_calibration_moves_them_as_the_closed_form_says() -> None:
+def test_calibration_moves_them_as_the_closed_form_says():
     """mu - D S sigma² (Bellows & Katz 2025) with the number of pieces as their S; nothing is active."""
     prior = room(replace(PERSONS, number_sigma=0.0))
     result = rt.calibrate(prior, [0.75, 0.5])
@@ -95,14 +91,14 @@ def test_calibration_moves_them_as_the_closed_form_says() -> None:
     assert ((low[2] < expected[2]) & (expected[2] < high[2])).all()
 
 
-def test_pieces_stop_at_zero() -> None:
+def test_pieces_stop_at_zero():
     few = room(Piece("chairs", 200, [0.02, 0.02], [0.05, 0.05]))
     at = rt.calibrate(few, [2.2, 2.0])
     assert at.alpha[2] == pytest.approx([0, 0], abs=1e-12)
     assert "chairs" in str(at)
 
 
-def test_an_uncertain_number_widens_t() -> None:
+def test_an_uncertain_number_widens_t():
     exact = room(Piece("persons", 30, [0.5, 1.2], [0, 0]))
     unsure = room(Piece("persons", 30, [0.5, 1.2], [0, 0], number_sigma=0.2))
     changes = [
@@ -128,7 +124,7 @@ def test_an_uncertain_number_widens_t() -> None:
         ({"number_sigma": 30}, "If it is in percent"),
     ],
 )
-def test_bad_pieces_are_refused(change: dict[str, object], words: str) -> None:
+def test_bad_pieces_are_refused(change, words):
     stated = {"name": "persons", "number": 30, "area_per_piece": [0.5, 1.2], "sigma": [0.1, 0.2]}
     data = room().to_dict() | {"object": [stated | change]}
     with pytest.raises(DataError, match=words):
@@ -137,7 +133,7 @@ def test_bad_pieces_are_refused(change: dict[str, object], words: str) -> None:
         room(PERSONS).replace(pieces=["persons", "floor", "rest"])
 
 
-def test_the_files_rule_gives_pieces_their_sigma() -> None:
+def test_the_files_rule_gives_pieces_their_sigma():
     data = room().to_dict() | {
         "object": [{"name": "persons", "number": 30, "area_per_piece": [0.01, 3.0]}]
     }
@@ -149,7 +145,7 @@ def test_the_files_rule_gives_pieces_their_sigma() -> None:
         Change(add=made.material("persons"), number=1000).apply(room())
 
 
-def test_nobody_is_a_room_without_them() -> None:
+def test_nobody_is_a_room_without_them():
     whole = room(PERSONS)
     assert whole.without_pieces.to_text() == room().to_text()
     taken = Change(remove="persons", number=30).apply(whole)
@@ -170,7 +166,7 @@ def test_nobody_is_a_room_without_them() -> None:
         (Change(open="persons"), "has a number of pieces and no surface"),
     ],
 )
-def test_changes_that_pieces_do_not_allow(change: Change, words: str) -> None:
+def test_changes_that_pieces_do_not_allow(change, words):
     with pytest.raises(DataError, match=words):
         change.apply(room(PERSONS))
     with pytest.raises(DataError, match="add needs an area in m², or a number if pieces"):
@@ -200,7 +196,7 @@ def by_hand(area: np.ndarray, surface: float, of: Room) -> np.ndarray:
         ([Change(remove="rest", area=5), Change(remove="persons", number=3)], -3, -5),
     ],
 )
-def test_a_part_is_taken_out(changes: list[Change], persons: float, surface: float) -> None:
+def test_a_part_is_taken_out(changes, persons, surface):
     result = rt.calibrate(room(PERSONS), [1.0, 0.6])
     after = result.room
     area = after.absorption_area + persons * result.alpha[2] + surface * result.alpha[1]
@@ -210,7 +206,7 @@ def test_a_part_is_taken_out(changes: list[Change], persons: float, surface: flo
 
 
 @pytest.mark.parametrize("number", [10, 30])
-def test_pieces_that_come_back_change_nothing(number: float) -> None:
+def test_pieces_that_come_back_change_nothing(number):
     result = rt.calibrate(room(PERSONS), [1.0, 0.6])
     back = [Change(remove="persons", number=number), Change(add="persons", number=number)]
     # With an uncertain number, T of the calibrated room is not exactly the measured one.
@@ -243,7 +239,7 @@ number = 20
 """
 
 
-def test_predictions_add_and_take_pieces() -> None:
+def test_predictions_add_and_take_pieces():
     whole = room(PERSONS)
     variants, _ = read_variants(VARIANTS, whole)
     result = rt.calibrate(whole, [1.0, 0.6])
@@ -258,7 +254,7 @@ def test_predictions_add_and_take_pieces() -> None:
         read_variants(VARIANTS.replace("number = 40", "area = 40"), whole)
 
 
-def test_what_a_file_brings_in_may_have_its_sigma_by_rule() -> None:
+def test_what_a_file_brings_in_may_have_its_sigma_by_rule():
     whole = room(PERSONS)
     material = """
 [[material]]
@@ -282,7 +278,7 @@ alpha = [0.01, 0.5]
         read_variants(VARIANTS.replace("sigma = [0.1", "number = 3\nsigma = [0.1"), whole)
 
 
-def test_what_holds_no_pieces_says_so(tmp_path: Path) -> None:
+def test_what_holds_no_pieces_says_so(tmp_path):
     whole = room(PERSONS)
     box = Polyhedron.shoebox((9, 7, 3), "floor")
     at = {"sources": {"S1": (1, 1, 1)}, "receivers": {"R1": (5, 5, 1)}}
@@ -309,7 +305,7 @@ def rows_of(name: str) -> np.ndarray:
     return np.array([np.array(row["values"][:6]) * row.get("times", 1) for row in piece["row"]])
 
 
-def test_every_piece_is_published_values_with_a_page_that_has_them() -> None:
+def test_every_piece_is_published_values_with_a_page_that_has_them():
     used = {row["source"] for piece in TABLE["piece"] for row in piece["row"]}
     assert used == set(TABLE["source"])
     for each in TABLE["source"].values():
@@ -327,7 +323,7 @@ def test_every_piece_is_published_values_with_a_page_that_has_them() -> None:
             assert row["of"] in source
 
 
-def test_their_values_are_those_of_the_copies() -> None:
+def test_their_values_are_those_of_the_copies():
     """The handbook's rows against the installed copy; the hard objects by their formula."""
     pytest.importorskip("pyroomacoustics")
     text = (resources.files("pyroomacoustics") / "data" / "materials.json").read_text("utf-8")
@@ -348,7 +344,7 @@ def test_their_values_are_those_of_the_copies() -> None:
     assert volumes == 2
 
 
-def test_their_sigma_is_the_spread_of_the_values() -> None:
+def test_their_sigma_is_the_spread_of_the_values():
     spreads = {}
     for piece in TABLE["piece"]:
         rows = rows_of(piece["name"])
@@ -364,7 +360,7 @@ def test_their_sigma_is_the_spread_of_the_values() -> None:
         assert sigma == pytest.approx(np.maximum(expected, 0.01), abs=2e-4)
 
 
-def test_pieces_have_the_bands_of_their_values() -> None:
+def test_pieces_have_the_bands_of_their_values():
     seated = catalogue.piece("person seated", 5, [4000, 8000])
     assert seated.area_per_piece[1] == 0.435  # the one row that has this band
     relative = np.array(seated.sigma) / seated.area_per_piece
@@ -388,11 +384,11 @@ def test_pieces_have_the_bands_of_their_values() -> None:
         ("standing people", "person standing"),
     ],
 )
-def test_pieces_are_found_by_what_people_call_them(said: str, first: str) -> None:
+def test_pieces_are_found_by_what_people_call_them(said, first):
     assert catalogue.similar(said, 1, among=catalogue.pieces()) == [first]
 
 
-def test_the_catalogue_is_listed_with_its_sources(rtcal: Commands) -> None:
+def test_the_catalogue_is_listed_with_its_sources(rtcal):
     pytest.importorskip("pyroomacoustics")
     whole = json.loads(rtcal("materials", "--json"))
     assert [m["name"] for m in whole["materials"]] == list(catalogue.names())
@@ -410,7 +406,7 @@ def test_the_catalogue_is_listed_with_its_sources(rtcal: Commands) -> None:
     assert 'no material like "xyzzy"' in rtcal.refused("materials", "xyzzy")
 
 
-def test_a_box_has_the_pieces_of_its_options(tmp_path: Path, rtcal: Commands) -> None:
+def test_a_box_has_the_pieces_of_its_options(tmp_path, rtcal):
     pytest.importorskip("pyroomacoustics")
     box = ["room", "--dimensions", "9,7,3", "--floor", "0.1", "--ceiling", "0.1", "--walls", "0.1"]
     path, bare = tmp_path / "room.toml", tmp_path / "bare.toml"
@@ -446,7 +442,7 @@ def case_of_pieces(persons: float = 30, **stated: object) -> Case:
 
 
 @pytest.mark.parametrize("equation", ["sabine", "eyring", "millington", "kuttruff"])
-def test_the_finders_state_has_the_equations_t(equation: str) -> None:
+def test_the_finders_state_has_the_equations_t(equation):
     case = replace(case_of_pieces(), equation=equation)
     made = state(case, case.configurations[0])
     expected = mean_equation(equation).reverberation_time(case.room)
@@ -460,7 +456,7 @@ def test_the_finders_state_has_the_equations_t(equation: str) -> None:
         assert sensitivities([made])[0, i] == pytest.approx(slope, rel=1e-4)
 
 
-def test_pieces_absorb_alike_in_every_direction() -> None:
+def test_pieces_absorb_alike_in_every_direction():
     """With walls that absorb nothing the field is even, whatever its scattering."""
     case = case_of_pieces()
     alpha = np.array(case.room.alpha)
@@ -470,7 +466,7 @@ def test_pieces_absorb_alike_in_every_direction() -> None:
     assert times == pytest.approx(6 * np.log(10) / made.rate, rel=1e-3)
 
 
-def test_reference_rooms_absorb_what_the_pieces_do() -> None:
+def test_reference_rooms_absorb_what_the_pieces_do():
     case = case_of_pieces()
     reference, _, share = box(case)
     mean = reference.areas @ (share.T @ case.room.alpha) / reference.total_area
@@ -480,7 +476,7 @@ def test_reference_rooms_absorb_what_the_pieces_do() -> None:
     assert drawn[:, 0, 2].mean(axis=0) == pytest.approx([0.5, 1.2], rel=0.02)
 
 
-def test_find_names_a_wrong_number_of_pieces(tmp_path: Path) -> None:
+def test_find_names_a_wrong_number_of_pieces(tmp_path):
     case = case_of_pieces(90)
     finding = find(case, only=["area", "covered surface"], controls=controls_of(case))
     best = finding.candidates[0]
@@ -499,7 +495,7 @@ def test_find_names_a_wrong_number_of_pieces(tmp_path: Path) -> None:
     assert Case.from_file(str(tmp_path / "case.json")).room.pieces == ("persons",)
 
 
-def test_what_is_added_beside_pieces_keeps_the_models_t() -> None:
+def test_what_is_added_beside_pieces_keeps_the_models_t():
     case = case_of_pieces()
     opening = AppliedEffect("opening", {"area": 12.0}, (8.0, 16.0))
     made = corrected_case(replace(case, applied=[opening]))
@@ -512,7 +508,7 @@ def test_what_is_added_beside_pieces_keeps_the_models_t() -> None:
     assert "m² per piece" in str(calibrated.blocks()[0])
 
 
-def test_configurations_change_pieces_in_m2_per_piece() -> None:
+def test_configurations_change_pieces_in_m2_per_piece():
     case = case_of_pieces()
     nobody = replace(
         case.configurations[0],
@@ -530,7 +526,7 @@ def test_configurations_change_pieces_in_m2_per_piece() -> None:
         replace(case, configurations=[wrong])
 
 
-def test_two_states_of_a_room_with_pieces() -> None:
+def test_two_states_of_a_room_with_pieces():
     whole = room(PERSONS)
     before, after = (
         replace(rt.Measurement.from_values(F, t20=t), n_sources=2, n_receivers=6)
@@ -543,7 +539,7 @@ def test_two_states_of_a_room_with_pieces() -> None:
     assert rt.Eyring().reverberation_time(made.room) == pytest.approx([0.6, 0.4], rel=0.05)
 
 
-def test_a_search_by_positions_names_the_one_by_means() -> None:
+def test_a_search_by_positions_names_the_one_by_means():
     scene = rt.Scene(sources={"S": (1, 1, 1)}, receivers={"R": (5, 5, 1)})
     whole = room(PERSONS).replace(scene=scene)
     pairs = rt.Measurement(
@@ -553,7 +549,7 @@ def test_a_search_by_positions_names_the_one_by_means() -> None:
         rt.find(whole, pairs)
 
 
-def test_what_is_printed_keeps_pieces_apart(tmp_path: Path, rtcal: Commands) -> None:
+def test_what_is_printed_keeps_pieces_apart(tmp_path, rtcal):
     result = rt.calibrate(room(PERSONS), [1.0, 0.6])
     shares = [row.values for row in table_of_shares(result.to_dict()).rows]
     assert np.sum(shares, axis=0) == pytest.approx(100)

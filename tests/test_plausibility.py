@@ -1,7 +1,5 @@
 """z and Q of the real calibration: correlations, shared materials, configurations, every method."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -46,7 +44,7 @@ def by_hand(room: rt.Room, between: np.ndarray, by_band: np.ndarray):
     return miss / np.sqrt(np.diag(covariance)), q, float(stats.chi2.sf(q, k))
 
 
-def test_correlations_enter_z_and_q_wherever_they_were_stated() -> None:
+def test_correlations_enter_z_and_q_wherever_they_were_stated():
     z, q, p = by_hand(three(), BETWEEN, BY_BAND)
     _, q_independent, _ = by_hand(three(), np.eye(3), np.eye(3))
     assert abs(q / q_independent - 1) > 0.1
@@ -65,7 +63,7 @@ def test_correlations_enter_z_and_q_wherever_they_were_stated() -> None:
         assert found.p_value == pytest.approx(p, rel=1e-9)
 
 
-def test_materials_that_share_their_coefficients_err_together() -> None:
+def test_materials_that_share_their_coefficients_err_together():
     """One unknown of 130 m²: (S_a + S_b)² sigma², not S_a² sigma² + S_b² sigma²."""
     room = three()
     alpha, sigma = room.alpha.copy(), room.sigma.copy()
@@ -80,7 +78,7 @@ def test_materials_that_share_their_coefficients_err_together() -> None:
     assert np.all(result.plausibility.z < -0.1)
 
 
-def test_each_configuration_has_its_own_z() -> None:
+def test_each_configuration_has_its_own_z():
     rooms = [three(), three(areas=[80, 20, 60], name="other")]
     times = [TIMES, np.array([0.7, np.nan, 0.8])]
     both = rt.calibrate(Configurations(rooms), times, method="joint")
@@ -91,7 +89,7 @@ def test_each_configuration_has_its_own_z() -> None:
     assert both.results[1].plausibility.degrees_of_freedom == 2
 
 
-def test_configurations_state_one_correlation() -> None:
+def test_configurations_state_one_correlation():
     stated = three(band_correlation=0.7, material_correlation={("a", "b"): 0.5})
     other = stated.replace(name="other", material_correlation={("b", "a"): 0.5})
     both = Configurations([stated, other])
@@ -106,7 +104,7 @@ def test_configurations_state_one_correlation() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_missing_band_keeps_its_prior_in_every_method(method: str) -> None:
+def test_a_missing_band_keeps_its_prior_in_every_method(method):
     room = three()
     t = np.array([0.45, np.nan, 0.4])
     result = rt.calibrate(room, t, method=method)
@@ -120,7 +118,7 @@ def test_a_missing_band_keeps_its_prior_in_every_method(method: str) -> None:
     assert ("missing", 1000.0) in marks
 
 
-def test_any_configuration_without_air_warns() -> None:
+def test_any_configuration_without_air_warns():
     rooms = Configurations([three(air=None), three(air=None, name="no climate")])
     with pytest.warns(rt.errors.MissingAirWarning, match="has no air") as said:
         rt.calibrate(rooms, [TIMES, 1.01 * np.asarray(TIMES)], method="joint")

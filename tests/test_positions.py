@@ -1,7 +1,5 @@
 """Calibration to every position: nearer to the truth than T alone, and what the result says."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Calibration to every position: bad input, other simulators, and the command."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from pathlib import Path

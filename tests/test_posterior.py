@@ -1,7 +1,5 @@
 """The posterior: its engine against quadrature and plain draws; sensitivity against re-solving."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -23,7 +21,7 @@ def room_with(mu: float, sigma: float, n: int = 4) -> rt.Room:
 
 
 @pytest.mark.parametrize("seed", [*range(8), *also(*range(8, 24))])
-def test_random_bands_against_quadrature(seed: int) -> None:
+def test_random_bands_against_quadrature(seed):
     """Scales over six decades, T up to hundreds of sigma off; of 150 bands the worst errs by 0.039."""
     rng = np.random.default_rng(seed)
     _, sigma, width = errors(random_band(rng), rng)
@@ -37,7 +35,7 @@ def single_band(areas: list[float], alpha: float, sigma: list[float]) -> rt.Room
 
 
 @pytest.mark.parametrize("small", [0.01, 0.005, 0.002, 0.001, 1e-5])
-def test_a_posterior_much_narrower_than_its_prior(small: float) -> None:
+def test_a_posterior_much_narrower_than_its_prior(small):
     """Far from the bounds it is normal; the first coefficient is what the five others leave."""
     areas = [300.0, 20.0, 10.0, 5.0, 40.0, 8.0]
     room = single_band(areas, 0.3, [0.05] + [small] * 5)
@@ -58,7 +56,7 @@ def test_a_posterior_much_narrower_than_its_prior(small: float) -> None:
 
 
 @pytest.mark.parametrize("sigma", [[0.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
-def test_a_coefficient_that_the_match_determines_has_a_point_interval(sigma: list[float]) -> None:
+def test_a_coefficient_that_the_match_determines_has_a_point_interval(sigma):
     room = single_band([30.0, 20.0, 10.0], 0.3, sigma)
     target = room.absorption_area + (1.5 if any(sigma) else 0.0)
     result = rt.calibrate(room, EYRING.time(room, target))
@@ -71,7 +69,7 @@ def test_a_coefficient_that_the_match_determines_has_a_point_interval(sigma: lis
     np.testing.assert_allclose(saved, result.alpha[:, np.newaxis].repeat(2, 1), rtol=1e-12)
 
 
-def test_samples_keep_to_every_constraint() -> None:
+def test_samples_keep_to_every_constraint():
     rng = np.random.default_rng(6)
     room = random_room(rng, 4, 3)
     t = true_times(rng, room, EYRING)
@@ -93,7 +91,7 @@ def test_samples_keep_to_every_constraint() -> None:
 
 
 @pytest.mark.parametrize("method", ["mle", "soft", "smooth", "robust"])
-def test_sensitivity_is_how_the_answer_follows_t(method: str) -> None:
+def test_sensitivity_is_how_the_answer_follows_t(method):
     rng = np.random.default_rng(8)
     room = random_room(rng, 5, 3)
     room = room.replace(alpha=np.clip(room.alpha - 0.25, 0.01, 1))
@@ -118,7 +116,7 @@ def test_sensitivity_is_how_the_answer_follows_t(method: str) -> None:
         np.testing.assert_allclose(slope[:, k, 0, k], wanted, rtol=1e-6)
 
 
-def test_posterior_sigma_of_any_composition_against_draws() -> None:
+def test_posterior_sigma_of_any_composition_against_draws():
     """Truth and noise drawn 4,000 times, the composed estimate solved for each."""
     rng = np.random.default_rng(1)
     room = random_room(rng, 4, 2)
@@ -147,7 +145,7 @@ def test_posterior_sigma_of_any_composition_against_draws() -> None:
     np.testing.assert_allclose(error.std(axis=0), u, rtol=0.06)
 
 
-def test_what_is_no_density_has_no_posterior() -> None:
+def test_what_is_no_density_has_no_posterior():
     room = room_with(0.3, 0.05)
     t = EYRING.time(room, np.array([30.0]))
     for method in ("lse", "robust"):
@@ -177,7 +175,7 @@ def whole(parts: list, size: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("exact", [True, False])
-def test_a_coupled_density_is_that_of_plain_draws(exact: bool) -> None:
+def test_a_coupled_density_is_that_of_plain_draws(exact):
     """Bands correlate: the normal density is drawn, and what breaks a bound is left out."""
     room, t = coupled()
     prior = terms.PriorDeviation(band_correlation=0.8)
@@ -209,7 +207,7 @@ def test_a_coupled_density_is_that_of_plain_draws(exact: bool) -> None:
     np.testing.assert_allclose(np.cov(of_samples.T), np.cov(plain.T), atol=0.1 * spread.max() ** 2)
 
 
-def test_draws_are_the_same_twice_and_follow_names_not_places() -> None:
+def test_draws_are_the_same_twice_and_follow_names_not_places():
     room, t = coupled()
     one, again = (distribution(rt.calibrate(room, t)) for _ in range(2))
     np.testing.assert_array_equal(one.samples, again.samples)
@@ -219,7 +217,7 @@ def test_draws_are_the_same_twice_and_follow_names_not_places() -> None:
     assert (distribution(rt.calibrate(room, t), seed=1).samples != one.samples).any()
 
 
-def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_drawn() -> None:
+def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_drawn():
     """Bounds that the match makes equalities leave no volume: they are taken as equalities."""
     rng = np.random.default_rng(3)
     room = random_room(rng, 4, 2, air=rt.Air(20, 50))
@@ -255,7 +253,7 @@ def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_drawn() -> None:
         (1e4, np.inf),
     ],
 )
-def test_truncated_normal_quantiles(lower: float, upper: float) -> None:
+def test_truncated_normal_quantiles(lower, upper):
     """The logarithm of the tail at each quantile, where the distribution function has no digits."""
     uniform = np.linspace(0.01, 0.99, 25)
     x, mass = quantile_and_mass(np.full(25, lower), np.full(25, upper), uniform)

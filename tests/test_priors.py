@@ -1,7 +1,5 @@
 """The knowledge before measuring: the truncated normal, sigma rules, correlation, catalogue."""
 
-from __future__ import annotations
-
 import mpmath
 import numpy as np
 import pytest
@@ -36,7 +34,7 @@ sigmas = st.floats(np.log(1e-6), np.log(10)).map(np.exp)
 
 
 @given(mu=st.floats(0, 1), sigma=sigmas)
-def test_against_scipy(mu: float, sigma: float) -> None:
+def test_against_scipy(mu, sigma):
     mean, variance = moments(mu, sigma)
     scipys = stats.truncnorm(-mu / sigma, (1 - mu) / sigma, mu, sigma)
     assert mean == pytest.approx(scipys.mean(), rel=1e-10)
@@ -44,7 +42,7 @@ def test_against_scipy(mu: float, sigma: float) -> None:
 
 
 @given(mu=st.one_of(st.floats(-3, 0), st.floats(1, 4)), sigma=sigmas)
-def test_the_tails_against_sixty_digits(mu: float, sigma: float) -> None:
+def test_the_tails_against_sixty_digits(mu, sigma):
     """With mu at and beyond the box scipy's own variance loses its digits; mpmath's does not."""
     with mpmath.workdps(60 + int(20 * np.log10(max(1 / sigma, 1)))):
         m, s = mpmath.mpf(mu), mpmath.mpf(sigma)
@@ -67,7 +65,7 @@ def test_the_tails_against_sixty_digits(mu: float, sigma: float) -> None:
 @pytest.mark.parametrize(
     ("mu", "sigma"), [(0.3, 0.1), (0.02, 0.05), (-0.4, 0.05), (1.3, 0.04), (0.5, 8)]
 )
-def test_samples_have_the_distribution(mu: float, sigma: float) -> None:
+def test_samples_have_the_distribution(mu, sigma):
     drawn = sample(mu, sigma, 1)
     assert drawn.min() >= 0
     assert drawn.max() <= 1
@@ -75,7 +73,7 @@ def test_samples_have_the_distribution(mu: float, sigma: float) -> None:
     assert stats.kstest(drawn, known.cdf).pvalue > 0.01
 
 
-def test_iso_12999_2() -> None:
+def test_iso_12999_2():
     """sigma_R = m alpha + n where m or n change; its Table 4 prints U = 2 sigma_R to two digits."""
     thirds = third_octaves(63, 5000)
     found = dict(zip(thirds, sigma_iso_12999_2(np.full(20, 0.5), thirds), strict=True))
@@ -94,14 +92,14 @@ TABLE_4 = """\
 """
 
 
-def test_iso_12999_2_worked_example() -> None:
+def test_iso_12999_2_worked_example():
     """Its Table 4: alpha_s and U = 2 sigma_R, printed to two digits (as quoted by phonometry)."""
     alpha, printed = np.loadtxt(TABLE_4.splitlines())
     sigma = sigma_iso_12999_2(alpha, third_octaves(63, 5000))
     np.testing.assert_allclose(2 * sigma, printed, atol=0.0051)
 
 
-def test_sigma_rules() -> None:
+def test_sigma_rules():
     rule = SigmaRule(relative=0.3, minimum=0.01, in_situ_factor=1.5)
     np.testing.assert_allclose(rule.sigma([0.01, 0.4], [500, 1000]), [0.015, 0.18])
     assert list(TIERS.values()) == [0.01, 0.05, 0.1]
@@ -110,7 +108,7 @@ def test_sigma_rules() -> None:
             SigmaRule(**bad)
 
 
-def test_correlations_reach_the_calibration() -> None:
+def test_correlations_reach_the_calibration():
     """Not separable sigma, one band without T: the correlated prior carries a shift over to it."""
     room = room_of(
         {"a": (80, 0.1, 0.05), "b": (30, [0.3, 0.4], 0.1)}, [500, 1000], 100, air=rt.Air()
@@ -124,7 +122,7 @@ def test_correlations_reach_the_calibration() -> None:
         rt.calibrate(room.replace(band_correlation=0.8), [0.5, 0.5], method="robust")
 
 
-def test_the_catalogue() -> None:
+def test_the_catalogue():
     pytest.importorskip("pyroomacoustics")
     from rtcal.datasets import catalogue
 
@@ -141,7 +139,7 @@ def test_the_catalogue() -> None:
         catalogue.material("hard_surface", [63, 125])
 
 
-def test_no_entry_of_the_catalogue_hides_that_it_is_perforated() -> None:
+def test_no_entry_of_the_catalogue_hides_that_it_is_perforated():
     """A law: who takes an entry by its name sees that it has holes, or is an absorber."""
     pytest.importorskip("pyroomacoustics")
     from rtcal.datasets import catalogue

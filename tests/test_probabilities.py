@@ -1,7 +1,5 @@
 """The finder's beliefs: priors, probabilities, families, coefficients that are off together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from unittest.mock import Mock
@@ -44,7 +42,7 @@ def room(sigma: float = 0.3, **more: object) -> rt.Room:
         "centre_frequencies": F,
         "air": rt.Air(20, 50),
     }
-    return rt.Room(**(facts | more))  # type: ignore[arg-type]
+    return rt.Room(**(facts | more))
 
 
 def measured(truth: Case, *, stated: bool = True) -> rt.Measurement:
@@ -79,7 +77,7 @@ def louder() -> Case:
     return case_of(room(), room(alpha=np.minimum(ALPHA * factor, 0.95)))
 
 
-def test_measured_coefficients_are_hardly_off_together() -> None:
+def test_measured_coefficients_are_hardly_off_together():
     assert probability_off(room(HANDBOOK_SIGMA)) == pytest.approx(0.2)
     assert probability_off(room(1.0)) == pytest.approx(0.2)
     assert probability_off(room(0.1)) == pytest.approx(0.2 / 9)
@@ -88,14 +86,14 @@ def test_measured_coefficients_are_hardly_off_together() -> None:
     assert prior_of(exact, library(), {}).log_probability["coefficients"] == -np.inf
 
 
-def test_a_mixture_is_the_mean_of_two_densities_also_where_they_round_to_zero() -> None:
+def test_a_mixture_is_the_mean_of_two_densities_also_where_they_round_to_zero():
     one, other = np.array([-1.0, -2.0]), np.array([-3.0, 0.5])
     expected = np.log(0.7 * np.exp(one) + 0.3 * np.exp(other))
     assert log_mixture(one, other, 0.3) == pytest.approx(expected)
     assert log_mixture(one - 1e4, other - 1e4, 0.3) == pytest.approx(expected - 1e4)
 
 
-def test_probabilities_sum_to_one_and_families_hold_their_members() -> None:
+def test_probabilities_sum_to_one_and_families_hold_their_members():
     case = louder()
     finding = find(case, controls=controls(case))
     assert sum(finding.probabilities.values()) == pytest.approx(1)
@@ -115,7 +113,7 @@ def test_probabilities_sum_to_one_and_families_hold_their_members() -> None:
     assert total == pytest.approx(1)
 
 
-def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() -> None:
+def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility():
     observed, _ = observe(case_of(room(), room(), stated=False))
     spread = np.sqrt(np.diag(observed.covariance).reshape(3, 6))
     t = observed.features[0, 0]
@@ -131,7 +129,7 @@ def test_what_states_no_uncertainty_gets_it_from_theory_and_reproducibility() ->
     assert str(stated.origin) == "The uncertainty of T20, EDT and T30 is as given."
 
 
-def test_a_stated_climate_is_a_measurement() -> None:
+def test_a_stated_climate_is_a_measurement():
     """An error of 10 % of humidity in a large room is no finding; without air stated, air is one."""
     large = {"volume": 8000.0, "areas": [1600.0, 500.0, 300.0], "sigma": 0.02 * ALPHA}
     damp = case_of(room(**large), room(**large, air=rt.Air(20, 60)))
@@ -139,7 +137,6 @@ def test_a_stated_climate_is_a_measurement() -> None:
     dry = case_of(room(**large, air=None), room(**large))
     finding = find(dry, controls=controls(dry))
     assert finding.best_effect == "air"
-    assert finding.best is not None
     assert 10 <= finding.best.parameters["temperature"] <= 33
     sure = replace(damp, climate_uncertainty=(0.1, 0.1))
     assert Case.from_dict(sure.to_dict()).climate_uncertainty == (0.1, 0.1)
@@ -147,7 +144,7 @@ def test_a_stated_climate_is_a_measurement() -> None:
         replace(damp, climate_uncertainty=(1.0, -1.0))
 
 
-def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
+def test_coefficients_off_together_given_an_effect_follow_bayes():
     stated, off = np.array([-3.0, -1.0, -2.0, -9.0]), np.array([-2.5, -4.0, -0.5, -9.0])
     weights, prior = np.array([1.0, 0.7, 0.3, 0.0]), 0.2
     names = ("none", "air", "air", "air")
@@ -162,7 +159,7 @@ def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
         assert evidence.off_given(name) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_room_s_coupling_is_claimed_by_its_family() -> None:
+def test_a_room_s_coupling_is_claimed_by_its_family():
     effects = {e.name: e for e in library()}
     rough = [name for name, effect in effects.items() if not effect.alone]
     probabilities = {"coupled room": 0.97, "non-diffuse field": 0.02, "none": 0.01}
@@ -186,7 +183,7 @@ def with_levels(*, stated: bool) -> Case:
     return replace(one, configurations=[Configuration(name=n, measured=heard) for n in "AB"])
 
 
-def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_rooms() -> None:
+def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_rooms():
     case = with_levels(stated=True)
     observed, _ = observe(case)
     applied = predict_hypotheses(case, []).applied
@@ -205,7 +202,7 @@ def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_room
     assert spread[0] - spread[1] == pytest.approx(distance, rel=0.3)
 
 
-def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is() -> None:
+def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is():
     one = with_levels(stated=True)
     first, second = one.configurations
     covered = ChangedMaterial(np.full(6, 0.6), np.full(6, 0.02))
@@ -243,9 +240,7 @@ def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is() -> None:
     ],
     ids=["no levels", "stated", "not given"],
 )
-def test_the_smallest_threshold_is_the_same_for_all_data(
-    case: Case, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_smallest_threshold_is_the_same_for_all_data(case, monkeypatch):
     monkeypatch.setattr(bootstrap, "QUANTILE", 0.0)  # so that the smallest threshold decides
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening()])
@@ -254,7 +249,7 @@ def test_the_smallest_threshold_is_the_same_for_all_data(
     assert (bootstrap.thresholds(scores) == 0).all()
 
 
-def test_of_the_null_rooms_one_in_twenty_exceeds_a_threshold() -> None:
+def test_of_the_null_rooms_one_in_twenty_exceeds_a_threshold():
     rng = np.random.default_rng(0)
     both = rng.multivariate_normal([1.0, 2.0], [[1.0, 0.6], [0.6, 1.0]], 4000)
     values = bootstrap.thresholds(both)
@@ -266,7 +261,7 @@ def test_of_the_null_rooms_one_in_twenty_exceeds_a_threshold() -> None:
     assert (bootstrap.thresholds(both - 10) == bootstrap.MINIMUM).all()
 
 
-def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
+def test_data_that_say_nothing_do_not_hide_what_t20_detects():
     """C80 that fits worse than assumed takes every error for larger, that of T20, too."""
     first = with_levels(stated=True).configurations[0].measured
     up_and_down = 4.0 * (-1.0) ** np.arange(6)  # from band to band, as no effect changes it
@@ -284,7 +279,7 @@ def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
     assert whole.reasons[0].code == "nothing likely"
 
 
-def test_people_are_objects_and_an_audience_covers_floor() -> None:
+def test_people_are_objects_and_an_audience_covers_floor():
     case = case_of(room(), room())
     before = state(case, case.configurations[0])
     people = People().change(before, {"persons": 20.0})
@@ -303,9 +298,7 @@ def test_people_are_objects_and_an_audience_covers_floor() -> None:
     ("sigma", "power"),
     [(0.03, 1 + 0.9 * SHARPER), *also((0.3, 1.0), (0.6, 1.0), (0.15, 1 + SHARPER / 2))],
 )
-def test_probabilities_are_sharper_where_coefficients_were_measured(
-    sigma: float, power: float
-) -> None:
+def test_probabilities_are_sharper_where_coefficients_were_measured(sigma, power):
     """Odds of two effects: evidence times prior, to a power that grows towards a sigma of 0."""
     case = case_of(room(sigma), room())
     finding = find(case, controls=controls(case))

@@ -1,7 +1,5 @@
 """The QP: its laws, its bounds, its warm start, and what it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,7 +14,7 @@ seeds = st.integers(0, 10_000)
 
 
 @given(seeds, st.sampled_from([1, 2, 6, 23]))
-def test_both_methods_equal_their_closed_form_where_no_bound_is_active(seed: int, n: int) -> None:
+def test_both_methods_equal_their_closed_form_where_no_bound_is_active(seed, n):
     rng = np.random.default_rng(seed)
     room = random_room(rng, n, 3, rt.Air())
     t = true_times(rng, room, EYRING)
@@ -31,7 +29,7 @@ def test_both_methods_equal_their_closed_form_where_no_bound_is_active(seed: int
         np.testing.assert_allclose(result.reverberation_time_after, t, rtol=1e-9)
 
 
-def test_drawing_a_wall_as_several_polygons_changes_nothing() -> None:
+def test_drawing_a_wall_as_several_polygons_changes_nothing():
     materials = [
         rt.Material("plaster", [0.05, 0.06], [0.02, 0.02]),
         rt.Material("carpet", [0.2, 0.4], [0.1, 0.1]),
@@ -54,7 +52,7 @@ def test_drawing_a_wall_as_several_polygons_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("solver", ["clarabel", "osqp"])
-def test_active_bounds_meet_the_optimality_conditions(solver: str) -> None:
+def test_active_bounds_meet_the_optimality_conditions(solver):
     """Hard walls and a T too long for their prior: several stand at 0 in the answer."""
     room = rt.Room(
         name="hard",
@@ -79,7 +77,7 @@ def test_active_bounds_meet_the_optimality_conditions(solver: str) -> None:
 
 
 @pytest.mark.parametrize("end", ["low", "high"])
-def test_a_target_at_an_end_is_that_end(end: str) -> None:
+def test_a_target_at_an_end_is_that_end(end):
     rng = np.random.default_rng(3)
     sabine = rt.Sabine()
     room = random_room(rng, 6, 2, rt.Air()).replace(centre_frequencies=[4000, 8000])
@@ -97,7 +95,7 @@ def test_a_target_at_an_end_is_that_end(end: str) -> None:
     assert np.all(force * sign <= 1e-9)
 
 
-def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit() -> None:
+def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit():
     """The polished answer depends on the active set alone; the closed form is the start of OSQP."""
     at_bound = 0
     for room, t in cases(12, 12, 8):
@@ -115,7 +113,7 @@ def test_every_solver_cold_or_warm_has_one_answer_to_the_last_bit() -> None:
 
 
 @pytest.mark.parametrize("method", ["mle", "lse"])
-def test_osqp_starts_at_the_optimum_also_where_an_end_holds_coefficients(method: str, cr2) -> None:
+def test_osqp_starts_at_the_optimum_also_where_an_end_holds_coefficients(method, cr2):
     room, _ = cr2
     t = rt.Eyring().time(room, 0.2 * room.total_area * np.ones(room.n_bands))
     t[[4, 5]] = 100.0  # longer than the air allows
@@ -138,9 +136,7 @@ def test_osqp_starts_at_the_optimum_also_where_an_end_holds_coefficients(method:
     ],
 )
 @pytest.mark.parametrize("method", ["mle", "soft", "robust"])
-def test_a_solver_that_stops_early_is_polished_to_the_same_answer(
-    solver: str, settings: dict[str, float], method: str, cr2
-) -> None:
+def test_a_solver_that_stops_early_is_polished_to_the_same_answer(solver, settings, method, cr2):
     usual = rt.calibrate(*cr2, method=method)
     result = rt.calibrate(*cr2, method=method, solver=solver, warm_start=False, settings=settings)
     assert result.certificate.worst < 1e-10
@@ -151,7 +147,7 @@ def test_a_solver_that_stops_early_is_polished_to_the_same_answer(
     assert result.certificate.worst < result.joint.raw_certificate.worst
 
 
-def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) -> None:
+def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch):
     from rtcal.calibration import qp
 
     monkeypatch.setattr(qp, "polish", lambda *_: None)
@@ -159,7 +155,7 @@ def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) 
         rt.calibrate(*cr2, solver="osqp", settings={"max_iter": 3, "polishing": False})
 
 
-def test_what_a_solver_does_not_know_is_refused(cr2) -> None:
+def test_what_a_solver_does_not_know_is_refused(cr2):
     for options, error, place in (
         ({"solver": "scs"}, rt.errors.ModelError, "solver = 'scs' must be"),
         ({"solver": 5}, rt.errors.ModelError, "solver = 5"),

@@ -1,7 +1,5 @@
 """Code of one's own gets arrays that it cannot change: else its caller's numbers would change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -17,7 +15,7 @@ from rtcal.finder.model import RoomState
 from rtcal.support.errors import DataError
 
 
-def test_a_loop_cannot_be_changed_from_after_step(cr2: Any) -> None:
+def test_a_loop_cannot_be_changed_from_after_step(cr2):
     room, measured = cr2
 
     def meddles(loop: rt.loop.Loop) -> None:
@@ -36,8 +34,7 @@ def test_a_loop_cannot_be_changed_from_after_step(cr2: Any) -> None:
     rt.calibrate_simulator(program, room, measured, after_step=meddles)
 
 
-def test_a_result_s_numbers_cannot_be_changed(cr2: Any) -> None:
-    """A change of one had changed others, or the page of the result."""
+def test_a_result_s_numbers_cannot_be_changed(cr2):
     result = rt.calibrate(*cr2)
     names = (
         "alpha active multipliers target measured measured_uncertainty reverberation_time_before "
@@ -66,8 +63,7 @@ class Painted(Effect):
         return replace(state, alpha=alpha)
 
 
-def test_an_effect_cannot_change_the_state(cr2: Any) -> None:
-    """The second state of its grid was that of both shares together, and so was the case's own."""
+def test_an_effect_cannot_change_the_state(cr2):
     room, measured = cr2
     case = Case(room=room, configurations=[Configuration(name="empty", measured=measured)])
     unchanged = state(case, case.configurations[0])
@@ -78,7 +74,7 @@ def test_an_effect_cannot_change_the_state(cr2: Any) -> None:
 
 
 @pytest.mark.parametrize("what", ["mu", "sigma", "areas", "target", "lower"])
-def test_a_term_cannot_change_the_numbers(cr2: Any, what: str) -> None:
+def test_a_term_cannot_change_the_numbers(cr2, what):
     def meddling(m: terms.Model) -> Any:
         """A term of one's own whose parameter changes what it is computed of."""
 

@@ -1,7 +1,5 @@
 """Recorded sweeps and interrupted noise: known decays come back, and what is neither is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 from rtcal.io import impulse_responses as ir
 from rtcal.io import recordings
 from rtcal.support.errors import DataError
-from tests.conftest import Commands, also
+from tests.conftest import also
 
 pytest.importorskip("pyfar")
 pytest.importorskip("pyrato")
@@ -49,9 +47,7 @@ def written(path: Path, samples: np.ndarray, rate: int) -> Path:
 @pytest.mark.parametrize(
     ("rate", "t"), [(16000, 0.5), *also((44100, 1.2), (48000, 0.4), (8000, 3))]
 )
-def test_a_recorded_sweep_gives_the_parameters_of_the_response(
-    tmp_path: Path, rate: int, t: float
-) -> None:
+def test_a_recorded_sweep_gives_the_parameters_of_the_response(tmp_path, rate, t):
     played, h = sweep(rate), response(t, rate, np.random.default_rng(1))
     files = [
         written(tmp_path / name, samples, rate)
@@ -70,7 +66,7 @@ def test_a_recorded_sweep_gives_the_parameters_of_the_response(
     assert (np.abs(found["t20"][0] / t - 1) < scatter).all()
 
 
-def test_bands_are_those_that_the_sweep_excites(tmp_path: Path) -> None:
+def test_bands_are_those_that_the_sweep_excites(tmp_path):
     rate, played = 16000, sweep(16000, low=300)
     of = recorded(played, response(0.5, rate, np.random.default_rng(3)), rate)
     files = written(tmp_path / "r.wav", of, rate), written(tmp_path / "s.wav", played, rate)
@@ -101,9 +97,7 @@ def image_sources(rate: int, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize(
     ("rooms", "rate", "noise"), [(3, 16000, 1e-4), *also((20, 44100, 1e-2), (20, 16000, 3e-2))]
 )
-def test_a_sweep_of_another_length_or_rate_is_refused_and_the_right_one_taken(
-    rooms: int, rate: int, noise: float
-) -> None:
+def test_a_sweep_of_another_length_or_rate_is_refused_and_the_right_one_taken(rooms, rate, noise):
     rng = np.random.default_rng(15)
     for _ in range(rooms):
         seconds = rng.uniform(1.5, 4)
@@ -123,7 +117,7 @@ def test_a_sweep_of_another_length_or_rate_is_refused_and_the_right_one_taken(
                 recordings.impulse_response(of, each, rate, ends, "r")
 
 
-def test_noise_above_the_sweep_is_not_inverted() -> None:
+def test_noise_above_the_sweep_is_not_inverted():
     """48 kHz and a sweep to 21.6 kHz: noise above it hid the response of every third recording."""
     rate, rng = 48000, np.random.default_rng(16)
     played = sweep(rate, 1.0)
@@ -156,7 +150,7 @@ def faults() -> dict[str, tuple[np.ndarray, str]]:
 
 
 @pytest.mark.parametrize("kind", faults())
-def test_what_holds_no_response_is_refused(tmp_path: Path, kind: str) -> None:
+def test_what_holds_no_response_is_refused(tmp_path, kind):
     samples, words = faults()[kind]
     if kind == "begin lost":
         samples = np.concatenate([samples, np.zeros(16000)])
@@ -165,7 +159,7 @@ def test_what_holds_no_response_is_refused(tmp_path: Path, kind: str) -> None:
         recordings.from_sweep(written(tmp_path / "r.wav", samples, 16000), played, bands=BANDS)
 
 
-def test_exchanged_files_and_other_rates_are_refused(tmp_path: Path) -> None:
+def test_exchanged_files_and_other_rates_are_refused(tmp_path):
     rate, played = 16000, np.concatenate([sweep(16000), np.zeros(4 * 16000)])
     of = recorded(sweep(rate), response(0.5, rate, np.random.default_rng(5)), rate)
     r, s = written(tmp_path / "r.wav", of, rate), written(tmp_path / "s.wav", played, rate)
@@ -183,7 +177,7 @@ def test_exchanged_files_and_other_rates_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("gain", "note"), [(3.0, "clipped recording: "), (0.002, "below full scale")]
 )
-def test_a_wrong_gain_is_noted(tmp_path: Path, gain: float, note: str) -> None:
+def test_a_wrong_gain_is_noted(tmp_path, gain, note):
     rate, played = 16000, sweep(16000)
     of = recorded(played, response(0.5, rate, np.random.default_rng(6)), rate)
     r = written(tmp_path / "r.wav", np.clip(gain * of, -1, 1), rate)
@@ -213,9 +207,7 @@ def stopped(
 @pytest.mark.parametrize(
     ("rate", "t"), [(16000, 0.5), *also((44100, 1.0), (48000, 0.3), (8000, 2.5))]
 )
-def test_stops_of_noise_give_t_within_their_uncertainty(
-    tmp_path: Path, rate: int, t: float
-) -> None:
+def test_stops_of_noise_give_t_within_their_uncertainty(tmp_path, rate, t):
     rng = np.random.default_rng(7)
     path = written(tmp_path / "S1-R1.wav", stopped(t, rate, rng, n=6), rate)
     analysis = recordings.interrupted(path, bands=BANDS)
@@ -231,7 +223,7 @@ def test_stops_of_noise_give_t_within_their_uncertainty(
     assert analysis.notes[0] == "stops per position: 6"
 
 
-def test_stops_of_several_files_are_averaged_at_their_position(tmp_path: Path) -> None:
+def test_stops_of_several_files_are_averaged_at_their_position(tmp_path):
     rate, rng = 16000, np.random.default_rng(9)
     names = ("S1-R1", "S1-R1#2", "S1-R2")
     files = [written(tmp_path / f"{n}.wav", stopped(0.6, rate, rng, n=2), rate) for n in names]
@@ -246,7 +238,7 @@ def test_stops_of_several_files_are_averaged_at_their_position(tmp_path: Path) -
     assert u == pytest.approx(0.88 * np.sqrt((1 + 1.9 / n) * t / b), rel=1e-3)  # ISO 3382-2, Eq. 4
 
 
-def test_stops_that_agree_by_chance_have_the_theoretical_uncertainty(tmp_path: Path) -> None:
+def test_stops_that_agree_by_chance_have_the_theoretical_uncertainty(tmp_path):
     """Three equal stops have no spread; a spread that is larger than the theory counts itself."""
     rate, rng = 16000, np.random.default_rng(18)
     once = stopped(0.6, rate, rng, n=1)
@@ -265,7 +257,7 @@ def test_stops_that_agree_by_chance_have_the_theoretical_uncertainty(tmp_path: P
     assert u > 0.08  # the standard error of about 0.6, 1.0, 0.6 s is 0.13 s; the theory has 0.03 s
 
 
-def test_a_high_noise_takes_t30_and_then_t20(tmp_path: Path) -> None:
+def test_a_high_noise_takes_t30_and_then_t20(tmp_path):
     for noise, missing in ((1e-2, {"t30"}), (0.05, {"t20", "t30"})):
         samples = stopped(0.6, 16000, np.random.default_rng(11), noise=noise)
         path = written(tmp_path / "r.wav", samples, 16000)
@@ -277,7 +269,7 @@ def test_a_high_noise_takes_t30_and_then_t20(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["silence", "steady", "response", "short"])
-def test_what_is_no_stopped_noise_is_refused(tmp_path: Path, kind: str) -> None:
+def test_what_is_no_stopped_noise_is_refused(tmp_path, kind):
     rate, rng = 16000, np.random.default_rng(12)
     samples = {
         "silence": np.zeros(3 * rate),
@@ -289,7 +281,7 @@ def test_what_is_no_stopped_noise_is_refused(tmp_path: Path, kind: str) -> None:
         recordings.interrupted(written(tmp_path / "r.wav", samples, rate), bands=[1000])
 
 
-def test_a_sweep_is_no_steady_noise(tmp_path: Path) -> None:
+def test_a_sweep_is_no_steady_noise(tmp_path):
     rate = 16000
     of = recorded(sweep(rate), response(0.5, rate, np.random.default_rng(13)), rate)
     for bands in ([500, 1000], "octave"):
@@ -302,7 +294,7 @@ def test_a_sweep_is_no_steady_noise(tmp_path: Path) -> None:
     assert np.isfinite(some.measurement.values["t20"][0, 2:]).all()
 
 
-def test_what_does_not_go_with_stopped_noise_is_refused(tmp_path: Path, rtcal: Commands) -> None:
+def test_what_does_not_go_with_stopped_noise_is_refused(tmp_path, rtcal):
     n = written(tmp_path / "n.wav", np.zeros(8000), 8000)
     for wrong in (("--sweep", n), ("--uncertainty",)):
         said = rtcal.refused("measure", n, "--interrupted", *wrong)

@@ -1,7 +1,5 @@
 """The display in an interpreter and a notebook: one line, or a table with the numbers."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -29,7 +27,7 @@ def shown_objects():
 
 
 @pytest.mark.parametrize("value", shown_objects(), ids=lambda v: type(v).__name__)
-def test_a_repr_is_one_short_line(value) -> None:
+def test_a_repr_is_one_short_line(value):
     assert "\n" not in repr(value)
     assert len(repr(value)) < 160
 
@@ -40,7 +38,7 @@ def cells(html):
     return [["".join(c.itertext()) for c in row] for row in table.iter("tr")]
 
 
-def test_a_notebook_shows_a_room_as_a_table() -> None:
+def test_a_notebook_shows_a_room_as_a_table():
     assert cells(box()._repr_html_()) == [
         ["α ± σ", "S / m²", "500 Hz", "1000 Hz"],
         ["floor", "20", "0.400 ± 0.100", "0.500 ± 0.100"],
@@ -48,7 +46,7 @@ def test_a_notebook_shows_a_room_as_a_table() -> None:
     ]
 
 
-def test_a_notebook_shows_means_and_what_is_missing() -> None:
+def test_a_notebook_shows_means_and_what_is_missing():
     measured = rt.Measurement(
         centre_frequencies=[500, 1000],
         values={"t20": [[2.0, np.nan]], "c80": [[1.25, -3.0]]},

@@ -1,7 +1,5 @@
 """Ways in which an outsider broke an earlier version; each stays mended."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,12 +27,12 @@ def room(**changes) -> rt.Room:
 
 
 @pytest.mark.parametrize("t", [0.31, 0.37, 0.40, 0.43, 0.52, 0.61])
-def test_what_t_alone_determines_has_no_uncertainty_of_rounding(t: float) -> None:
+def test_what_t_alone_determines_has_no_uncertainty_of_rounding(t):
     one = room(materials=["a"], areas=[94], alpha=[[0.3, 0.3]], sigma=[[0.1, 0.1]], volume=60)
     np.testing.assert_array_equal(rt.calibrate(one, [t, t]).room.sigma, 0)
 
 
-def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
+def test_z_is_of_what_t_asks_not_of_the_nearest_end():
     known = room(sigma=[[0.01, 0.01], [0.01, 0.01]], alpha_min=[[0.09, 0.19], [0.29, 0.19]])
     result = rt.calibrate(known, [5.0, 0.75], unreachable="nearest")
     asked = rt.Eyring().target(known, np.array([5.0, 0.75]))
@@ -45,7 +43,7 @@ def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
     assert {"unreachable", "implausible"} <= {m.kind for m in result.trust_marks}
 
 
-def test_areas_and_surfaces_cannot_part() -> None:
+def test_areas_and_surfaces_cannot_part():
     walls = [rt.Surface("s", "a", 100.0), rt.Surface("t", "b", 120.0)]
     known = room(surfaces=walls)
     with pytest.raises(DataError, match=r'areas\["a"\] = 200 m², but its surfaces sum to 100 m²'):
@@ -53,7 +51,7 @@ def test_areas_and_surfaces_cannot_part() -> None:
     assert known.replace(areas=known.areas * 2, surfaces=()).areas[0] == 200
 
 
-def test_lse_leaves_alone_what_is_known_exactly() -> None:
+def test_lse_leaves_alone_what_is_known_exactly():
     known = room(sigma=[[0, 0], [0.1, 0.1]])
     result = rt.calibrate(known, [0.8, 0.9], method="lse")
     np.testing.assert_array_equal(result.alpha[0], known.alpha[0])
@@ -62,7 +60,7 @@ def test_lse_leaves_alone_what_is_known_exactly() -> None:
 
 
 @pytest.mark.parametrize("t", [0.0047, 0.001, 1e-6])
-def test_a_t_too_short_for_any_equation_is_unreachable(t: float) -> None:
+def test_a_t_too_short_for_any_equation_is_unreachable(t):
     with pytest.raises(InfeasibleError, match=r"T\[500 Hz\] = .* s cannot be reached"):
         rt.calibrate(room(air=None), [t, 0.7])
     result = rt.calibrate(room(air=None), [t, 0.7], unreachable="nearest")
@@ -85,13 +83,13 @@ def test_a_t_too_short_for_any_equation_is_unreachable(t: float) -> None:
         ({"uncertainty": {"c80": [[1, 1]]}}, r"uncertainty\[c80\] is given without values\[c80\]"),
     ],
 )
-def test_measurement(changes: dict, message: str) -> None:
+def test_measurement(changes, message):
     values = {"centre_frequencies": [500, 1000], "values": {"t20": [[0.8, 0.7]]}}
     with pytest.raises(DataError, match=message):
         rt.Measurement(**{**values, **changes})
 
 
-def test_tiny_sigmas_pass_the_certificate() -> None:
+def test_tiny_sigmas_pass_the_certificate():
     for scale in (1e-9, 1e-12):
         known = room(sigma=np.full((2, 2), scale))
         result = rt.calibrate(known, [0.8, 0.75])
@@ -100,7 +98,7 @@ def test_tiny_sigmas_pass_the_certificate() -> None:
         np.testing.assert_allclose(result.alpha, oracle, atol=1e-9)
 
 
-def test_a_soft_match_is_not_made_exact_behind_ones_back() -> None:
+def test_a_soft_match_is_not_made_exact_behind_ones_back():
     """Without constraints an exact match is added only where nothing else matches T."""
     room_, measured = rt.datasets.bras_cr2()
     prior, soft = rt.terms.PriorDeviation(), rt.terms.SoftMatch()
@@ -142,12 +140,12 @@ HARD_TO_SEE = [
 
 
 @pytest.mark.parametrize(("call", "message"), HARD_TO_SEE, ids=[m for _, m in HARD_TO_SEE])
-def test_what_numpy_would_take_is_named(call, message: str) -> None:
+def test_what_numpy_would_take_is_named(call, message):
     with pytest.raises(RtcalError, match=message):
         call()
 
 
-def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
+def test_a_room_of_one_surface_is_calibrated_exactly():
     """One unknown and one equation: no error is left, and none of rounding is reported."""
     done = studies.run([35.0], 0.05, 20, 30, seed=1)
     for table in (done.scores(), done.controlled_scores(), studies.analytic_scores([35], 0.05, 99)):
@@ -162,13 +160,13 @@ def test_a_room_of_one_surface_is_calibrated_exactly() -> None:
     assert (two["aace"] > 0.01).all()
 
 
-def test_an_effect_of_weight_0_is_named() -> None:
+def test_an_effect_of_weight_0_is_named():
     effect = rt.terms.AddedAbsorption("door", [1, 1], 1.0)
     with pytest.raises(rt.errors.ModelError, match=r"AddedAbsorption\(name='door'.* has weight 0"):
         solved(objective=PRIOR + 0 * effect)
 
 
-def test_a_calibration_that_ignores_t_says_so() -> None:
+def test_a_calibration_that_ignores_t_says_so():
     said = "Nothing in this calibration requires the measured T"
     ignoring = rt.Calibration(PRIOR, []).build(room()).solve([0.8, 0.75])
     assert said in str(ignoring)
@@ -185,7 +183,7 @@ def test_a_calibration_that_ignores_t_says_so() -> None:
     assert said in str(unweighted.solve([0.8, 0.75]))
 
 
-def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> None:
+def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked():
     """Its coefficients are pinned before the solver runs; their multipliers follow from them."""
     known = room(alpha_min=[[0.05, 0.05], [0.1, 0.05]])
     end = rt.Eyring().time(known, known.areas @ known.alpha_min)

@@ -1,7 +1,5 @@
 """A run of the user's own program beside the measurement: what is compared, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -34,7 +32,7 @@ def of_pairs(pairs: list[tuple[str, str]] = PAIRS, **values: object) -> rt.Measu
     return rt.Measurement(centre_frequencies=F, values=values, pairs=pairs)
 
 
-def test_the_same_parameters_pairs_and_values_are_compared() -> None:
+def test_the_same_parameters_pairs_and_values_are_compared():
     run = rt.Run(box(), of_pairs(t20=[[1.0, 1.1], [1.2, 1.3]], c80=[[1, 2], [3, 4]]))
     measured = of_pairs(
         [*PAIRS[::-1], ("S1", "R3")], t20=[[2, 2.2], [1, np.nan], [9, 9]], t30=[[1, 1]] * 3
@@ -52,14 +50,14 @@ def test_the_same_parameters_pairs_and_values_are_compared() -> None:
     ]
 
 
-def test_without_a_pair_in_common_means_are_compared() -> None:
+def test_without_a_pair_in_common_means_are_compared():
     run = rt.Run(box(), of_pairs([("S9", "R9"), ("S9", "R8")], t20=[[1.0, 1.1], [1.2, 1.3]]))
     both = run.beside(of_pairs(t20=[[2.0, 2.2], [1.0, 1.1]]))
     assert both.run.mean("t20") == pytest.approx([1.1, 1.2])
     assert "Means over the pairs are compared" in both.left_out()[-1]
 
 
-def test_bands_are_converted_and_t20_is_not_t30() -> None:
+def test_bands_are_converted_and_t20_is_not_t30():
     thirds = rt.Measurement.from_values([400, 500, 630], t20=[1.0, 1.0, 1.0])
     with pytest.warns(OtherBandsWarning, match="the run is converted from third-octaves"):
         run = rt.Run(box(), thirds)
@@ -74,7 +72,7 @@ def test_bands_are_converted_and_t20_is_not_t30() -> None:
         rt.Run(box(), rt.Measurement.from_values([8000], t20=[1]))
 
 
-def test_a_band_that_the_run_lacks_is_left_out_of_comparison_and_loop_alike() -> None:
+def test_a_band_that_the_run_lacks_is_left_out_of_comparison_and_loop_alike():
     room = box(sigma=[[0.04, 0.04], [0.1, 0.1]])
     said = "Not compared: 500 Hz, which the run does not have."
     program = of_equation(rt.Millington(), room)
@@ -100,7 +98,7 @@ def test_a_band_that_the_run_lacks_is_left_out_of_comparison_and_loop_alike() ->
     )
 
 
-def test_a_loop_matches_t30_beside_t30_where_t20_is_not_in_both() -> None:
+def test_a_loop_matches_t30_beside_t30_where_t20_is_not_in_both():
     room = box(sigma=[[0.04, 0.04], [0.1, 0.1]])
     program = of_equation(rt.Millington(), room)
     wanted = program.simulate(np.array([[0.13, 0.08], [0.3, 0.2]])).mean("t20")
@@ -142,7 +140,7 @@ def test_a_loop_matches_t30_beside_t30_where_t20_is_not_in_both() -> None:
         ({"air": None}, "no air"),
     ],
 )
-def test_a_run_of_another_room_is_refused(changed: dict[str, object], named: str) -> None:
+def test_a_run_of_another_room_is_refused(changed, named):
     run = rt.Run(box(alpha=[[0.5, 0.5], [0.5, 0.5]]), rt.Measurement.from_values(F, t20=[1.0, 1.1]))
     run.refuse_other(box())
     with pytest.raises(DataError, match=named):
@@ -165,7 +163,7 @@ def measurement(
 
 
 @pytest.mark.parametrize("pairs", [PAIRS, *also(None)])
-def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
+def test_laws_of_a_comparison(pairs):
     rng = np.random.default_rng(0)
     for _ in range(20):
         one, other = measurement(rng, pairs), measurement(rng, pairs)
@@ -197,9 +195,7 @@ def test_laws_of_a_comparison(pairs: list[tuple[str, str]] | None) -> None:
         (1.2, 0.0, ""),
     ],
 )
-def test_a_run_that_is_a_multiple_in_all_bands_is_said_so(
-    factor: float, slope: float, said: str
-) -> None:
+def test_a_run_that_is_a_multiple_in_all_bands_is_said_so(factor, slope, said):
     room = rt.Room(
         name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1, 0.12, 0.15]],
         sigma=[[0.03] * 3], centre_frequencies=[500, 1000, 2000],
@@ -213,7 +209,7 @@ def test_a_run_that_is_a_multiple_in_all_bands_is_said_so(
     assert ("times the" in text) == bool(said)
 
 
-def test_a_deviation_that_the_coefficients_explain_is_not_the_programs() -> None:
+def test_a_deviation_that_the_coefficients_explain_is_not_the_programs():
     measured = rt.Measurement.from_values(F, t20=[1.0, 1.0], c80=[0.0, 0.0])
     run = rt.Measurement.from_values(F, t20=[1.2, 1.2], c80=[-1.2, 3.0])
     for relative, explained in ((0.3, True), (0.001, False)):
@@ -226,7 +222,7 @@ def test_a_deviation_that_the_coefficients_explain_is_not_the_programs() -> None
         assert found.explained["c80"].tolist() == [explained, False]
 
 
-def test_what_follows_from_a_time_beyond_sigma_is_not_explained_by_coefficients() -> None:
+def test_what_follows_from_a_time_beyond_sigma_is_not_explained_by_coefficients():
     times = {"t20": [1.0, 1.0], "edt": [1.0, 1.0]}
     run = rt.Measurement.from_values(F, t20=[2.0, 1.1], edt=[2.0, 1.1])
     room = box(sigma=0.1 * np.array([[0.1, 0.1], [0.2, 0.3]]))
@@ -235,13 +231,13 @@ def test_what_follows_from_a_time_beyond_sigma_is_not_explained_by_coefficients(
         assert each.tolist() == [False, True]
 
 
-def test_without_a_run_the_equation_is_compared() -> None:
+def test_without_a_run_the_equation_is_compared():
     measured = rt.Measurement.from_values(F, t20=1.5 * rt.Sabine().reverberation_time(box()))
     found = rt.compare(box(), measured, equation=rt.Sabine())
     assert found.sentence == "Sabine's T20 is 33 % too short in all bands."
 
 
-def test_the_command_writes_page_and_numbers(tmp_path, rtcal) -> None:
+def test_the_command_writes_page_and_numbers(tmp_path, rtcal):
     room, measured, run = (str(tmp_path / n) for n in ("room.toml", "m.csv", "run.csv"))
     box().save(room)
     rt.Measurement.from_values(F, t20=[1.0, 1.0]).save(measured)
@@ -260,7 +256,7 @@ def test_the_command_writes_page_and_numbers(tmp_path, rtcal) -> None:
 
 
 @pytest.mark.parametrize("equation", [rt.Millington(), rt.Kuttruff()])
-def test_a_loop_that_begins_with_a_run_needs_one_simulation_less(equation: rt.Eyring) -> None:
+def test_a_loop_that_begins_with_a_run_needs_one_simulation_less(equation):
     room = box(sigma=[[0.04, 0.04], [0.1, 0.1]])
     program = of_equation(equation, room)
     measured = program.simulate(np.array([[0.13, 0.08], [0.3, 0.2]]))

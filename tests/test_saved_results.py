@@ -1,7 +1,5 @@
 """Every kind of result is written to a folder and read back: it prints, states and shows the same."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,7 @@ def back(result: Result, folder: Path) -> Any:
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", ["mle", "lse", "soft", "smooth", "robust"])
-def test_calibrations_are_read_back(method: str, tmp_path: Path) -> None:
+def test_calibrations_are_read_back(method, tmp_path):
     room, measured = rt.datasets.bras_cr2()
     result = rt.calibrate(room, measured, method=method)
     again = back(result, tmp_path)
@@ -47,7 +45,7 @@ def test_calibrations_are_read_back(method: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_joint_calibrations_are_read_back(tmp_path: Path) -> None:
+def test_joint_calibrations_are_read_back(tmp_path):
     room, measured = rt.datasets.bras_cr2()
     rooms = rt.Configurations([room, room.replace(name="larger", volume=1.02 * room.volume)])
     terms = rt.terms.PriorDeviation() + rt.terms.SoftMatch(0.03)
@@ -58,7 +56,7 @@ def test_joint_calibrations_are_read_back(tmp_path: Path) -> None:
     back(result.results[0].predict([]), tmp_path / "prediction")
 
 
-def test_loops_are_read_back(tmp_path: Path) -> None:
+def test_loops_are_read_back(tmp_path):
     room, measured = rt.datasets.bras_cr2()
     simulator = of_equation(rt.Kuttruff(path_variance=0.9), room)
     result = rt.calibrate_simulator(simulator, room, measured, rule="secant")
@@ -67,7 +65,7 @@ def test_loops_are_read_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-def test_positions_are_read_back(tmp_path: Path) -> None:
+def test_positions_are_read_back(tmp_path):
     room = HALL.room.replace(sigma=0.3 * HALL.room.alpha)
     measured = heard(room, room.alpha, n_paths=2000)
     simulator = tracing(room)
@@ -81,7 +79,7 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
     page_of(tmp_path)
 
 
-def test_findings_are_read_back(tmp_path: Path) -> None:
+def test_findings_are_read_back(tmp_path):
     case = rt.datasets.hidden_room()[0]
     found = rt.find(case, only=["opening", "furniture", "volume"], controls=controls_of(case))
     again = back(found, tmp_path / "finding")
@@ -91,7 +89,7 @@ def test_findings_are_read_back(tmp_path: Path) -> None:
     back(rt.finder.plan(found.case), tmp_path / "plan")
 
 
-def test_findings_in_a_geometry_are_read_back(tmp_path: Path) -> None:
+def test_findings_in_a_geometry_are_read_back(tmp_path):
     finding = finding_of({"wall 5": 0.6, "ceiling": 0.4})
     again = back(finding, tmp_path / "finding")
     assert again.case.faces.keys() == finding.case.faces.keys()
@@ -99,9 +97,7 @@ def test_findings_in_a_geometry_are_read_back(tmp_path: Path) -> None:
     back(verification_of(finding, gaps), tmp_path / "verification")
 
 
-def test_an_object_of_no_class_of_rtcal_is_refused_and_its_numbers_are_written(
-    tmp_path: Path,
-) -> None:
+def test_an_object_of_no_class_of_rtcal_is_refused_and_its_numbers_are_written(tmp_path):
     class Own(rt.Eyring):
         """In a function no program can import it."""
 
@@ -126,7 +122,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("key", "value", "place"), BROKEN)
-def test_what_is_no_plain_data_is_refused(key: str, value: Any, place: str) -> None:
+def test_what_is_no_plain_data_is_refused(key, value, place):
     objects = plain(rt.calibrate(*rt.datasets.bras_cr2()))
     i = max(i for i, entry in enumerate(objects) if key in entry)
     objects[i] = {**objects[i], key: value}
@@ -134,7 +130,7 @@ def test_what_is_no_plain_data_is_refused(key: str, value: Any, place: str) -> N
         restored(objects)
 
 
-def test_a_field_that_came_later_has_its_default() -> None:
+def test_a_field_that_came_later_has_its_default():
     objects = plain(rt.datasets.bras_cr2()[0])
     del objects[-1]["fields"]["author"]
     assert restored(objects).author == ""
@@ -156,9 +152,7 @@ OTHER_FILES = [
 
 
 @pytest.mark.parametrize(("name", "content", "rule"), OTHER_FILES)
-def test_another_file_is_refused_by_name(
-    name: str, content: str, rule: str, tmp_path: Path
-) -> None:
+def test_another_file_is_refused_by_name(name, content, rule, tmp_path):
     path = tmp_path / name
     path.write_text(content)
     with pytest.raises(DataError, match=f"(?s){name}.*{rule}"):

@@ -1,11 +1,8 @@
 """The scene that a room's file states: mesh, sources, receivers, and what scattering means."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import rtcal as rt
 from tests.conftest import room_of
@@ -31,9 +28,7 @@ def room(**stated: object) -> rt.Room:
     )
 
 
-def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(tmp_path, monkeypatch):
     (tmp_path / "project").mkdir()
     (tmp_path / "project" / "fitted").mkdir()
     stated = room(scene=STATED)
@@ -49,7 +44,7 @@ def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(
         assert Path(again or "").resolve() == tmp_path / "project" / "meshes" / "room.obj"
 
 
-def test_a_path_tracer_takes_the_meaning_of_scattering_from_its_room() -> None:
+def test_a_path_tracer_takes_the_meaning_of_scattering_from_its_room():
     hall = rt.datasets.halls.lecture_hall()
     stated = hall.room.replace(scattering_model="vector")
     places = {"geometry": hall.geometry, "sources": hall.sources, "receivers": hall.receivers}

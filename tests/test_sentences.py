@@ -1,7 +1,5 @@
 """Sentences of the pages are short enough to be said back."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -33,11 +31,11 @@ def too_long(text: str, most: int = MOST) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_no_sentence_is_too_long(page: Path) -> None:
+def test_no_sentence_is_too_long(page):
     assert not too_long(page.read_text(encoding="utf-8"))
 
 
-def test_a_long_sentence_is_seen_and_a_list_is_none() -> None:
+def test_a_long_sentence_is_seen_and_a_list_is_none():
     words = " ".join(["word"] * 25)
     assert too_long(f"A {words} and\n{words}.")
     assert not too_long(f"A {words}. A\n{words}.")

@@ -1,7 +1,5 @@
 """Several effects at once: the evidence of sets, their prior, and what is said of each effect."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -84,14 +82,14 @@ def compared_case(case: Case, effects: Sequence[Effect]) -> MeansProblem:
 
 def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> Finding:
     more = {"most": 3, **more}
-    return find(case, only=only, controls=controls_of(case, 0.01), **more)  # type: ignore[arg-type]
+    return find(case, only=only, controls=controls_of(case, 0.01), **more)
 
 
 def row(c: MeansProblem, name: str, place: int = 3) -> int:
     return [i for i, n in enumerate(c.predicted.names) if n == name][place]
 
 
-def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> None:
+def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model():
     c = compared(*BOTH)
     rows = (row(c, "volume", 13), row(c, "noise floor", 28))
     applied = [AppliedEffect(c.predicted.names[i], c.predicted.parameters[i]) for i in rows]
@@ -109,7 +107,7 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
     assert np.isneginf(evaluate_sets(c, [rows], off=False)[0, 1])
 
 
-def test_a_set_has_an_error_of_the_direct_sound() -> None:
+def test_a_set_has_an_error_of_the_direct_sound():
     """Its columns are the change of the features by `DIRECT_SOUND` dB, here by a smaller difference."""
     case = case_with()
     observed, _ = observe(case)
@@ -133,7 +131,7 @@ def at_the_points(c: MeansProblem) -> MeansProblem:
     return replace(c, cells=np.zeros_like(c.cells))
 
 
-def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_set_of_one_is_the_single_hypothesis(monkeypatch):
     monkeypatch.setattr(densities, "COARSENING", np.inf)
     c = at_the_points(compared(*BOTH))
     single = evaluate(c, 0.1)[-1]
@@ -143,7 +141,7 @@ def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) 
     np.testing.assert_allclose(sets[:, 1], single.off[rows], atol=1e-8)
 
 
-def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_screen_is_the_density_where_effects_add(monkeypatch):
     """The effects have errors smooth over bands; with or without one of them as the base."""
     monkeypatch.setattr(densities, "COARSENING", np.inf)
     monkeypatch.setattr(problem, "SHAPE_CHANGE", (("edt", 0.0), ("t30", 0.0)))
@@ -163,7 +161,7 @@ def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyP
     assert beside[0, 0] == pytest.approx(table[0, 0], abs=1e-8)
 
 
-def test_effects_act_in_an_order_in_which_absorbers_see_the_right_equation() -> None:
+def test_effects_act_in_an_order_in_which_absorbers_see_the_right_equation():
     c = compared()
     order, _ = acting_order(c.case, c.predicted)
     assert order[0] == "formula"
@@ -171,7 +169,7 @@ def test_effects_act_in_an_order_in_which_absorbers_see_the_right_equation() -> 
 
 
 @pytest.mark.parametrize("most", [1, 2, 3])
-def test_the_prior_of_sets_sums_to_one_by_number(most: int) -> None:
+def test_the_prior_of_sets_sums_to_one_by_number(most):
     prior = prior_of(case_with().room, library(), {})
     names = [*(e.name for e in library()), UNKNOWN]
     weight = log_prior(prior, names[:-1], 0.7, most)
@@ -181,7 +179,7 @@ def test_the_prior_of_sets_sums_to_one_by_number(most: int) -> None:
         assert total == pytest.approx(poisson[n] / poisson.sum())
 
 
-def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
+def test_two_effects_are_named_added_and_alpha_is_left_alone():
     case = case_with(*BOTH)
     found = sought(case)
     assert found.verdict == "named"
@@ -195,7 +193,6 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert sum(found.family_sets.values()) == pytest.approx(1)
     assert sum(found.numbers) == pytest.approx(1)
     together = found.candidate("volume")
-    assert together is not None
     assert together.low < 1.3 < together.high
     corrected = found.apply().case
     assert [a.name for a in corrected.applied] == list(found.members)
@@ -206,7 +203,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
 
 
 @pytest.mark.parametrize("effect", [BOTH[0], *also(BOTH[1])], ids=lambda e: e.name)
-def test_one_effect_is_not_taken_for_two(effect: AppliedEffect) -> None:
+def test_one_effect_is_not_taken_for_two(effect):
     case = case_with(effect)
     found = sought(case)
     assert set(found.members) == {effect.name}
@@ -215,7 +212,7 @@ def test_one_effect_is_not_taken_for_two(effect: AppliedEffect) -> None:
     assert found.numbers[1] > 0.5
 
 
-def test_nothing_is_claimed_where_nothing_is_missing() -> None:
+def test_nothing_is_claimed_where_nothing_is_missing():
     case = case_with()
     found = sought(case)
     assert found.verdict == "none"
@@ -226,7 +223,7 @@ def test_nothing_is_claimed_where_nothing_is_missing() -> None:
         found.apply()
 
 
-def test_a_shaded_direct_sound_is_no_second_effect() -> None:
+def test_a_shaded_direct_sound_is_no_second_effect():
     """Furniture between source and receiver: C80 and G are lower than any formula says."""
     furniture = AppliedEffect("furniture", {"absorption_area": 20.0})
     case = case_with(furniture, AppliedEffect("direct sound", {"gain": -6.0}))
@@ -237,7 +234,7 @@ def test_a_shaded_direct_sound_is_no_second_effect() -> None:
     assert found.numbers[2] < 0.5
 
 
-def test_alpha_is_the_posterior_mean_of_the_linear_model() -> None:
+def test_alpha_is_the_posterior_mean_of_the_linear_model():
     c = compared(BOTH[0])
     near = [abs(p["ratio"] - 1.3) for p in c.predicted.parameters if set(p) == {"ratio"}]
     rows = (row(c, "volume", int(np.argmin(near))),)
@@ -260,14 +257,14 @@ def test_alpha_is_the_posterior_mean_of_the_linear_model() -> None:
     assert np.abs(expected - ALPHA).max() > 1e-4
 
 
-def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
+def test_a_decay_that_the_second_room_decides_can_be_calibrated():
     """T then hardly depends on alpha: its uncertainty over that slope is larger than T."""
     coupled = AppliedEffect("coupled room", {"aperture": 8.0, "volume": 900.0, "alpha": 0.02})
     case = replace(case_with(coupled), applied=[coupled])
     np.testing.assert_allclose(rt.finder.recalibrate(case).alpha, ALPHA, atol=0.01)
 
 
-def test_a_single_effect_is_a_set_of_one() -> None:
+def test_a_single_effect_is_a_set_of_one():
     case = case_with(BOTH[0])
     found = find(case, only=FEW, controls=controls_of(case, 0.01))
     assert found.members == ("volume",)

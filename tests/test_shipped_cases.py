@@ -1,7 +1,5 @@
 """Shipped cases with something hidden in them: from another tracer, off as stated, picked by a rule."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -15,7 +13,7 @@ ROOMS = ("identified", "not_identified")
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_a_case_is_the_first_of_its_kind_in_a_population_that_nothing_else_uses(name: str) -> None:
+def test_a_case_is_the_first_of_its_kind_in_a_population_that_nothing_else_uses(name):
     _, truth = rt.datasets.hidden_room(name)
     stored = json.loads(rt.datasets.path(f"hidden_room/{name}.json").read_text(encoding="utf-8"))
     kind = truth["seed"][1]
@@ -25,7 +23,7 @@ def test_a_case_is_the_first_of_its_kind_in_a_population_that_nothing_else_uses(
 
 
 @pytest.mark.parametrize("name", ROOMS)
-def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
+def test_the_true_coefficients_are_as_far_off_as_is_stated(name):
     case, truth = rt.datasets.hidden_room(name)
     off = (np.array(truth["alpha"]) - case.room.alpha) / case.room.sigma
     assert np.abs(off).max() > 1
@@ -36,7 +34,7 @@ def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
 
 
 @pytest.mark.long
-def test_one_is_identified_and_one_is_not() -> None:
+def test_one_is_identified_and_one_is_not():
     """It fails where the finder is changed: then other rooms ship."""
     case, truth = rt.datasets.hidden_room("identified")
     finding = rt.find(case)

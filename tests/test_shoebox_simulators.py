@@ -1,7 +1,5 @@
 """The scattering delay network and the image sources of a shoebox."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -46,7 +44,7 @@ def first_order(air: np.ndarray, alpha: np.ndarray) -> list[tuple[float, np.ndar
 
 
 @pytest.mark.parametrize("air", [None, rt.Air(20, 50)])
-def test_sdn_first_order_arrivals_are_the_image_sources(air: rt.Air | None) -> None:
+def test_sdn_first_order_arrivals_are_the_image_sources(air):
     room = box(air)
     sdn = ScatteringDelayNetwork(room=room, sources=SOURCE, receivers=APART)
     response = sdn.impulse_responses(ALPHA, 0.05)[0]
@@ -58,7 +56,7 @@ def test_sdn_first_order_arrivals_are_the_image_sources(air: rt.Air | None) -> N
         assert (response[:, sample + 1] == 0).all()
 
 
-def test_sdn_keeps_its_energy_without_absorption() -> None:
+def test_sdn_keeps_its_energy_without_absorption():
     sdn = ScatteringDelayNetwork(
         room=box(), sources=SOURCE, receivers=RECEIVER, line_of_sight=False
     )
@@ -69,7 +67,7 @@ def test_sdn_keeps_its_energy_without_absorption() -> None:
     assert energies.max() / energies.min() < 1.02
 
 
-def test_sdn_numba_and_numpy_are_one_network() -> None:
+def test_sdn_numba_and_numpy_are_one_network():
     sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, sampling_rate=8000)
     network, rng = sdn.networks[0], np.random.default_rng(1)
     gains = [rng.uniform(0.9, 1, shape) for shape in ((6, 5, 3), (6, 3), (6, 3), (6, 3))]
@@ -79,14 +77,14 @@ def test_sdn_numba_and_numpy_are_one_network() -> None:
     assert one == pytest.approx(two, rel=0, abs=1e-12 * np.abs(one).max())
 
 
-def test_sdn_is_as_long_as_it_has_to_be() -> None:
+def test_sdn_is_as_long_as_it_has_to_be():
     sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, longest=1.5)
     assert (sdn.simulate(ALPHA).values["t20"] > 0.1).all()
     with pytest.raises(TooShortError, match=r"S to R, 500 Hz is too short for T20: in 1\.49 s"):
         sdn.simulate(np.full((6, 2), 0.01))
 
 
-def test_sdn_and_image_sources_decay_alike() -> None:
+def test_sdn_and_image_sources_decay_alike():
     """De Sena et al. 2015, Sect. V: the two agree in a room of usual absorption (10 % here)."""
     room = box(rt.Air(20, 50))
     alpha = np.full((6, 2), 0.3)
@@ -98,7 +96,7 @@ def test_sdn_and_image_sources_decay_alike() -> None:
     assert two[1] < two[0]  # the air
 
 
-def test_image_sources_are_pyroomacoustics() -> None:
+def test_image_sources_are_pyroomacoustics():
     pra = pytest.importorskip("pyroomacoustics")
     alpha, duration = 0.5, 0.2
     # Within 0.2 s of the direct sound (72 m) no image is of an order above 33.
@@ -136,7 +134,7 @@ def test_image_sources_are_pyroomacoustics() -> None:
     assert images.simulate(room.alpha).mean("t20")[0] == pytest.approx(t20, rel=1e-9)
 
 
-def test_late_images_have_their_mean_over_positions() -> None:
+def test_late_images_have_their_mean_over_positions():
     """40 pairs are compared in three parts of the decay; the walls of each axis absorb alike."""
     room, of_axis = box(rt.Air(20, 50)), np.array([[0.1, 0.3], [0.35, 0.2], [0.2, 0.05]])
     rng = np.random.default_rng(4)
@@ -160,7 +158,7 @@ def _triples(places: list[np.ndarray]) -> list[tuple]:
 
 
 @pytest.mark.parametrize("dimensions", [(5, 7, 3), (2, 2.5, 2.2), (4, 40, 3)])
-def test_the_lowest_sampling_rate_has_the_right_t20(dimensions: tuple[float, ...]) -> None:
+def test_the_lowest_sampling_rate_has_the_right_t20(dimensions):
     """Within 5.5 % of 44.1 kHz at alpha = 0.3, where delays are whole samples."""
     x, y, z = dimensions
     areas = [2 * (x * y + x * z + y * z)]

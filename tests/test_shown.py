@@ -1,9 +1,5 @@
 """The pages show what their commands print."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from benchmarks import shown
@@ -20,12 +16,12 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
-def test_a_page_shows_what_its_commands_print(page: Path) -> None:
+def test_a_page_shows_what_its_commands_print(page):
     for block, text, on_page in shown.outputs(page):
         assert shown.agrees(text, on_page), f"{block}prints\n{text}"
 
 
-def test_a_page_runs_its_python_and_writes_its_files(tmp_path: Path) -> None:
+def test_a_page_runs_its_python_and_writes_its_files(tmp_path):
     page = tmp_path / "page.md"
     python = (
         "```python\nx = 1\nprint(x)\n```\n\n```python\nprint(open('a.csv').read(), x + 1)\n```\n"

@@ -1,7 +1,5 @@
 """The docs site builds without a warning, and nothing in it leads nowhere or needs the network."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -42,7 +40,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     pytest.importorskip("mkdocs", reason="needs the extra docs")
     pytest.importorskip("mkdocstrings", reason="needs the extra docs")
     folder = tmp_path_factory.mktemp("site")
@@ -60,12 +58,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def pages(site: Path) -> dict[Path, Page]:
+def pages(site):
     # 404.html is served in place of any page, so its links begin at the root.
     return {p: Page(p) for p in site.rglob("*.html") if p.name != "404.html"}
 
 
-def test_no_link_of_the_site_is_broken(site: Path, pages: dict[Path, Page]) -> None:
+def test_no_link_of_the_site_is_broken(site, pages):
     broken, count = [], 0
     for path, page in pages.items():
         for target in {*page.links, *page.loaded}:
@@ -83,7 +81,7 @@ def test_no_link_of_the_site_is_broken(site: Path, pages: dict[Path, Page]) -> N
     assert count > 1000  # the pages and their links were found at all
 
 
-def test_the_site_is_read_without_network(site: Path, pages: dict[Path, Page]) -> None:
+def test_the_site_is_read_without_network(site, pages):
     for path, page in pages.items():
         for source in page.loaded:
             assert not urlsplit(source).netloc, f"{path.name} loads {source}"

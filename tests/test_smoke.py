@@ -1,7 +1,5 @@
 """A few tests that show an installed wheel works; they need nothing but the required libraries."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -18,7 +16,7 @@ pytestmark = pytest.mark.smoke
 
 @pytest.mark.parametrize("solver", ["clarabel", "osqp"])
 @pytest.mark.parametrize("method", ["mle", "lse"])
-def test_real_room_is_matched_and_equals_the_closed_form(solver: str, method: str) -> None:
+def test_real_room_is_matched_and_equals_the_closed_form(solver, method):
     room, measured = rt.datasets.bras_cr2()
     result = rt.calibrate(room, measured, method=method, solver=solver)
     sigma = room.sigma if method == "mle" else np.ones_like(room.sigma)
@@ -28,7 +26,7 @@ def test_real_room_is_matched_and_equals_the_closed_form(solver: str, method: st
     assert result.certificate.worst < 1e-12
 
 
-def test_command_prints_json() -> None:
+def test_command_prints_json():
     folder = rt.datasets.path("bras_cr2")
     command = [sys.executable, "-m", "rtcal", "calibrate", "--json"]
     done = subprocess.run(
@@ -44,7 +42,7 @@ def test_command_prints_json() -> None:
     assert max(abs(g) for g in content["gap_before_jnd"]) > 10
 
 
-def test_file_round_trip(tmp_path) -> None:
+def test_file_round_trip(tmp_path):
     room, measured = rt.datasets.bras_cr2()
     result = rt.calibrate(room, measured)
     result.room.save(tmp_path / "room.toml")
@@ -109,7 +107,7 @@ of_finding.correct = lambda *_, **__: ("nothing to add", {}, {})
         long(130, fails_with("KeyboardInterrupt"), CALIBRATE, ""),
     ],
 )
-def test_each_exit_code(tmp_path, code: int, setting: str, arguments: list[str], said: str) -> None:
+def test_each_exit_code(tmp_path, code, setting, arguments, said):
     done = command(tmp_path, arguments, setting, stdout=subprocess.PIPE)
     assert done.returncode == code, done.stderr
     assert said in done.stderr
@@ -118,7 +116,7 @@ def test_each_exit_code(tmp_path, code: int, setting: str, arguments: list[str],
 
 @pytest.mark.long
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no full device")
-def test_exit_code_of_a_full_output(tmp_path) -> None:
+def test_exit_code_of_a_full_output(tmp_path):
     with open("/dev/full", "w") as full:
         done = command(tmp_path, ["example", "room"], "", stdout=full)
     assert (done.returncode, done.stderr) == (5, "rtcal: cannot print: No space left on device\n")

@@ -1,7 +1,5 @@
 """SOFA files: responses and positions of rooms; what is no room is refused by name."""
 
-from __future__ import annotations
-
 import sys
 import tomllib
 import warnings
@@ -52,7 +50,7 @@ def file(
     return path
 
 
-def test_responses_and_positions(tmp_path: Path) -> None:
+def test_responses_and_positions(tmp_path):
     path = file(tmp_path / "hall.sofa")
     read = sofa.read(path)
     assert read.pairs == (("S1", "R1"), ("S1", "R2"))
@@ -63,7 +61,7 @@ def test_responses_and_positions(tmp_path: Path) -> None:
     assert (m.values["t20"][0] < m.values["t20"][1]).all()
 
 
-def test_spherical_positions(tmp_path: Path) -> None:
+def test_spherical_positions(tmp_path):
     path = file(
         tmp_path / "a.sofa",
         SourcePosition=[[90.0, 0.0, 2.0], [90.0, 0.0, 2.0]],
@@ -73,7 +71,7 @@ def test_spherical_positions(tmp_path: Path) -> None:
     assert sofa.read(path).sources == {"S1": pytest.approx((0, 2, 0), abs=1e-9)}
 
 
-def test_equal_positions_are_repeats_and_must_be_stated(tmp_path: Path) -> None:
+def test_equal_positions_are_repeats_and_must_be_stated(tmp_path):
     path = file(tmp_path / "a.sofa", ListenerPosition=[[2.0, 3.0, 1.2]] * 2)
     with pytest.raises(DataError, match=r"source S1, receiver R1 is given twice"):
         impulse_responses.read(path)
@@ -82,7 +80,7 @@ def test_equal_positions_are_repeats_and_must_be_stated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("convention", ["FreeFieldHRIR", "SimpleFreeFieldHRIR", "GeneralTF"])
-def test_what_is_no_room_is_refused_by_name(tmp_path: Path, convention: str) -> None:
+def test_what_is_no_room_is_refused_by_name(tmp_path, convention):
     path = tmp_path / "a.sofa"
     made = sofar.Sofa(convention)
     sofar.write_sofa(str(path), made)
@@ -90,7 +88,7 @@ def test_what_is_no_room_is_refused_by_name(tmp_path: Path, convention: str) -> 
         impulse_responses.read(path)
 
 
-def test_bad_files(tmp_path: Path) -> None:
+def test_bad_files(tmp_path):
     broken = tmp_path / "broken.sofa"
     broken.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(200))
     with pytest.raises(DataError, match=r"broken\.sofa: cannot be read as SOFA"):
@@ -103,14 +101,14 @@ def test_bad_files(tmp_path: Path) -> None:
         sofa.read(free)
 
 
-def test_without_netcdf_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:
+def test_without_netcdf_the_extra_is_named(tmp_path, monkeypatch):
     path = file(tmp_path / "a.sofa")
     monkeypatch.setitem(sys.modules, "netCDF4", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[sofa\]'"):
         sofa.read(path)
 
 
-def test_measure_writes_the_positions_for_the_room(tmp_path: Path) -> None:
+def test_measure_writes_the_positions_for_the_room(tmp_path):
     path, out, scene = file(tmp_path / "a.sofa"), tmp_path / "t.csv", tmp_path / "scene.toml"
     with pytest.raises(SystemExit) as end:
         main(["measure", str(path), "--out", str(out), "--positions", str(scene), "-q"])
@@ -161,7 +159,7 @@ def balloon(
     return path
 
 
-def test_a_balloon_gives_what_it_radiates_by_octave(tmp_path: Path) -> None:
+def test_a_balloon_gives_what_it_radiates_by_octave(tmp_path):
     read = balloons.read(balloon(tmp_path / "b.sofa"), [500, 1000], aim=(1, 0, 0))
     lobe = Directivity(index=[0, 6], aim=(1, 0, 0))
     directions = np.random.default_rng(0).standard_normal((500, 3))
@@ -169,7 +167,7 @@ def test_a_balloon_gives_what_it_radiates_by_octave(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("convention", ["FreeFieldDirectivityTF", *also("GeneralTF")])
-def test_a_balloon_is_turned_with_its_top(tmp_path: Path, convention: str) -> None:
+def test_a_balloon_is_turned_with_its_top(tmp_path, convention):
     """The loudspeaker's left in the file is its left in the room."""
     path = balloon(tmp_path / "b.sofa", convention=convention, aim=(-1, 2, 1))
     read = balloons.read(path, [1000], aim=(0, 0, -1), up=(0, 1, 0))
@@ -182,7 +180,7 @@ def test_a_balloon_is_turned_with_its_top(tmp_path: Path, convention: str) -> No
     assert (gains[1:] < 0.8 * gains[0]).all()
 
 
-def test_a_balloon_that_says_too_little_is_refused(tmp_path: Path) -> None:
+def test_a_balloon_that_says_too_little_is_refused(tmp_path):
     path = balloon(tmp_path / "b.sofa")
     with pytest.raises(DataError, match="no frequency in the octave of 4000 Hz"):
         balloons.read(path, [1000, 4000], (1, 0, 0))

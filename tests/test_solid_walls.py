@@ -1,7 +1,5 @@
 """Walls that are drawn as closed solids: the cavity between them is the room, or there is none."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 
@@ -10,7 +8,7 @@ import pytest
 from rtcal.io import mesh
 from rtcal.io.mend import MeshError
 from rtcal.support.errors import DataError
-from tests.conftest import Commands, also
+from tests.conftest import also
 
 Box = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
 SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
@@ -54,9 +52,7 @@ def obj(path: Path, boxes: list[Box], *, triangles: bool = False, turned: bool =
 @pytest.mark.parametrize("walls", [BUTT, OVERLAPPING, THROUGH])
 @pytest.mark.parametrize("triangles", [False, True])
 @pytest.mark.parametrize("turned", [False, *also(True)])
-def test_the_cavity_between_solids_is_the_room(
-    walls: list[Box], triangles: bool, turned: bool, tmp_path: Path
-) -> None:
+def test_the_cavity_between_solids_is_the_room(walls, triangles, turned, tmp_path):
     path = obj(tmp_path / "m.obj", [*walls, FLOOR, ROOF], triangles=triangles, turned=turned)
     done = mesh.room(path)
     assert done.volume == pytest.approx(L * W * H, rel=1e-4)
@@ -67,7 +63,7 @@ def test_the_cavity_between_solids_is_the_room(
     assert done.volume_uncertainty < 1e-3 * done.volume
 
 
-def test_furniture_stands_in_the_cavity(tmp_path: Path) -> None:
+def test_furniture_stands_in_the_cavity(tmp_path):
     desk: Box = ("desk", "wood", (2, 2, 0), (3, 3.5, 0.75))
     lamp: Box = ("lamp", "steel", (2, 2, 2), (3, 3, 2.2))
     done = mesh.room(obj(tmp_path / "m.obj", [*BUTT, desk, FLOOR, lamp, ROOF]))
@@ -79,8 +75,8 @@ def test_furniture_stands_in_the_cavity(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("missing", [0, *also(*range(1, 6))])
 def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
-    missing: int, tmp_path: Path, rtcal: Commands
-) -> None:
+    missing, tmp_path, rtcal
+):
     boxes = [*BUTT, FLOOR, ROOF]
     del boxes[missing]
     path = obj(tmp_path / "m.obj", boxes)
@@ -94,9 +90,7 @@ def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
 
 
 @pytest.mark.parametrize(("per_m", "unit"), [(1000, "mm"), (100, "cm"), (39.3701, "inches")])
-def test_in_another_unit_the_cavity_is_the_room_too(
-    per_m: float, unit: str, tmp_path: Path
-) -> None:
+def test_in_another_unit_the_cavity_is_the_room_too(per_m, unit, tmp_path):
     """The message proposed the volume with the walls in it."""
     boxes = [
         (name, material, tuple(per_m * x for x in low), tuple(per_m * x for x in high))

@@ -1,9 +1,6 @@
 """The solver comparison: each broken solver is caught by the metric meant for it, and runs resume."""
 
-from __future__ import annotations
-
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +15,17 @@ from benchmarks.solvers.cases import Case, Rooms
 
 
 @pytest.fixture(scope="module")
-def test_set() -> Rooms:
+def test_set():
     return Rooms("tiny")
 
 
 @pytest.fixture(scope="module")
-def cases(test_set: Rooms) -> dict[str, Case]:
+def cases(test_set):
     return {case.name: case for case in test_set}
 
 
 @pytest.fixture
-def feasible(cases: dict[str, Case]) -> Case:
+def feasible(cases):
     return cases["random 6 x 8 no 0"]
 
 
@@ -62,18 +59,13 @@ def judged(case: Case, test_set: Rooms, **broken: object) -> run.Row:
     ],
     ids=["infeasible", "wrong duals", "no duals", "nan", "claimed", "not complementary"],
 )
-def test_a_broken_solver_is_caught(
-    broken: Callable[[run.Found], dict[str, object]],
-    seen: Callable[[run.Row], bool],
-    feasible: Case,
-    test_set: Rooms,
-) -> None:
+def test_a_broken_solver_is_caught(broken, seen, feasible, test_set):
     row = judged(feasible, test_set, **broken(right(feasible, test_set)))
     assert seen(row)
     assert not row.passes
 
 
-def test_the_truth_of_a_problem_solved_by_hand() -> None:
+def test_the_truth_of_a_problem_solved_by_hand():
     """Least |x|² with x1 + x2 + x3 = 3 and x1 <= 1/2: x = (1/2, 5/4, 5/4)."""
     x = np.array([0.5, 1.25, 1.25])
     problem = qpsolvers.Problem(
@@ -89,7 +81,7 @@ def test_the_truth_of_a_problem_solved_by_hand() -> None:
     np.testing.assert_allclose(truth.of_matrices(problem).x, [0.5, 2, 0.5], rtol=0, atol=1e-16)
 
 
-def test_the_page_is_that_of_the_table() -> None:
+def test_the_page_is_that_of_the_table():
     """The committed page has the committed table's numbers."""
     root = Path(__file__).resolve().parents[1]
     folder = root / "benchmarks" / "solvers" / "results"

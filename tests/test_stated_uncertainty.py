@@ -1,9 +1,6 @@
 """Uncertainties that `rtcal measure --uncertainty` writes: theory, file, and what reads them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,7 +35,7 @@ def hall() -> rt.Room:
 
 @pytest.mark.parametrize("name", ["uncertainty", "common_uncertainty"])
 @pytest.mark.parametrize(("parameter", "value"), [("t20", 5.0), ("t20", 1e300), ("c80", 500.0)])
-def test_an_uncertainty_above_the_value_is_refused(name: str, parameter: str, value: float) -> None:
+def test_an_uncertainty_above_the_value_is_refused(name, parameter, value):
     m = measured()
     shape = (4, 6) if name == "uncertainty" else (6,)
     stated = replace(m, **{name: {parameter: np.full(shape, value)}})
@@ -49,7 +46,7 @@ def test_an_uncertainty_above_the_value_is_refused(name: str, parameter: str, va
         rt.calibrate(hall(), stated)
 
 
-def test_a_part_in_common_that_stands_alone_is_taken() -> None:
+def test_a_part_in_common_that_stands_alone_is_taken():
     m, common = measured(), np.full(6, 0.2)
     alone = replace(m, common_uncertainty={"t20": common})
     assert alone.mean_uncertainty("t20") == pytest.approx(
@@ -61,7 +58,7 @@ def test_a_part_in_common_that_stands_alone_is_taken() -> None:
     assert own == pytest.approx(_uncertainty(m, "t20")[0])
 
 
-def test_what_is_common_does_not_average_out() -> None:
+def test_what_is_common_does_not_average_out():
     stated = with_uncertainty(measured())
     spread = stated.values["t20"].std(0, ddof=1) / 2
     own = np.sqrt((stated.uncertainty["t20"] ** 2).sum(0)) / 4
@@ -70,7 +67,7 @@ def test_what_is_common_does_not_average_out() -> None:
     assert (stated.mean_uncertainty("t20") > stated.common_uncertainty["t20"]).all()
 
 
-def test_the_finder_takes_what_is_written_as_what_it_would_have_made() -> None:
+def test_the_finder_takes_what_is_written_as_what_it_would_have_made():
     def seen(m: rt.Measurement) -> tuple[np.ndarray, str]:
         case = Case(room=hall(), configurations=[Configuration(name="A", measured=m)])
         observed, _ = observe(case.only("t20", "edt"))
@@ -83,7 +80,7 @@ def test_the_finder_takes_what_is_written_as_what_it_would_have_made() -> None:
     assert written[0] == pytest.approx(made[0], rel=0.1)
 
 
-def test_measure_writes_them(tmp_path: Path) -> None:
+def test_measure_writes_them(tmp_path):
     pytest.importorskip("pyrato")
     path, out = tmp_path / "S1_R1.wav", tmp_path / "t.csv"
     path.write_bytes(example("responses").files[path.name])

@@ -1,7 +1,5 @@
 """A stated volume is believed: an equation that gives too little T is no wrong volume."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -72,9 +70,7 @@ def believed(finding: Finding) -> bool:
 @pytest.mark.parametrize(
     ("relative", "stated"), [(0.1, 0.0), (0.1, 0.02), (0.1, 0.05), (0.05, 0.0), (0.2, 0.0)]
 )
-def test_an_equation_with_too_little_t_is_no_wrong_volume(
-    relative: float, stated: float, tmp_path: Any
-) -> None:
+def test_an_equation_with_too_little_t_is_no_wrong_volume(relative, stated, tmp_path):
     """T is 1.4 times the equation's in every band. It was named: a volume 1.4 times as large (0.97)."""
     room = hall(relative, volume_sigma=stated)
     finding = found(room, heard(room, 1.4), cache=tmp_path, controls=None)
@@ -83,18 +79,17 @@ def test_an_equation_with_too_little_t_is_no_wrong_volume(
 
 
 @pytest.mark.parametrize(("true", "least"), [(0.5, 0.5), *also((2.0, 0.9))])
-def test_half_or_twice_the_volume_is_found(true: float, least: float) -> None:
+def test_half_or_twice_the_volume_is_found(true, least):
     room = hall(0.1, dimensions=(20.0, 24.0, 20.0))
     larger = room.replace(volume=room.volume * true, dimensions=None)
     finding = found(room, heard(larger, 1.0))
     assert finding.best_effect == "volume"
     assert finding.probabilities["volume"] > least
     size = finding.size
-    assert size is not None
     assert size.low < true < size.high
 
 
-def test_a_volume_is_as_certain_as_it_is_stated() -> None:
+def test_a_volume_is_as_certain_as_it_is_stated():
     room = hall(0.1)
     mesh = room.replace(scene=rt.Scene(mesh="hall.obj"))
     assert volume_sigma_of(room) == 0.1
@@ -121,8 +116,7 @@ def test_a_volume_is_as_certain_as_it_is_stated() -> None:
         )
 
 
-def test_a_volume_of_a_thousandth_is_tried_only_where_every_state_has_sound_for_it() -> None:
-    """A further configuration, with an absorber, had no C80 then: a DataError instead of a finding."""
+def test_a_volume_of_a_thousandth_is_tried_only_where_every_state_has_sound_for_it():
     room = hall(0.1, volume=413.0, areas=[105, 110, 105, 59], alpha=np.full((4, len(F)), 0.03))
     measured = heard(room, 1.0)
     hung = ChangedMaterial(np.full(len(F), 0.6), np.full(len(F), 0.03))

@@ -1,10 +1,5 @@
 """The stochastic study: sampling, scores, their standard errors, workers, the command."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -33,7 +28,7 @@ def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
 # Sampling -----------------------------------------------------------------------------------------
 
 
-def test_sigma_has_the_law_that_redrawing_leaves() -> None:
+def test_sigma_has_the_law_that_redrawing_leaves():
     rng = np.random.default_rng(1)
     redrawn = rng.rayleigh(0.1, 400_000)
     assert np.mean(redrawn >= 0.25) == pytest.approx(paper.redrawn_share(0.1, "sigma_n"), rel=0.03)
@@ -51,7 +46,7 @@ def test_sigma_has_the_law_that_redrawing_leaves() -> None:
     np.testing.assert_allclose(np.quantile(place, shares), shares, atol=5e-3)
 
 
-def test_mu_keeps_twice_sigma_r_from_0_and_1_whatever_sigma_is() -> None:
+def test_mu_keeps_twice_sigma_r_from_0_and_1_whatever_sigma_is():
     rng = np.random.default_rng(1)
     mu, sigma = paper.realisations(rng, 60_000, 6, 0.1, "sigma_r")
     assert paper.redrawn_share(0.1, "sigma_r") == 0
@@ -65,7 +60,7 @@ def test_mu_keeps_twice_sigma_r_from_0_and_1_whatever_sigma_is() -> None:
     assert abs(np.corrcoef(mu.ravel(), sigma.ravel())[0, 1]) < 4 / np.sqrt(mu.size)
 
 
-def test_trials_are_truncated_normal() -> None:
+def test_trials_are_truncated_normal():
     rng = np.random.default_rng(2)
     mu, sigma = np.array([0.45, 0.1, 0.9]), np.array([0.22, 0.05, 0.05])
     z = np.empty((3, 200_000))
@@ -83,7 +78,7 @@ def test_trials_are_truncated_normal() -> None:
 # Estimators ---------------------------------------------------------------------------------------
 
 
-def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
+def test_errors_against_the_exact_solver_and_the_closed_forms():
     """Every method's error, trial by trial, from alpha itself: no shared formula."""
     rng, mu, sigma = drawn(sigma_r=0.2, count=12, seed=4)
     trials, active = 400, 0
@@ -117,7 +112,7 @@ def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
     assert active > 50
 
 
-def test_analytic_emse_is_the_mean_over_trials() -> None:
+def test_analytic_emse_is_the_mean_over_trials():
     mu = np.array([0.1, 0.45, 0.9, 0.3, 0.12, 0.52])
     sigma = np.array([0.05, 0.2, 0.04, 0.1, 0.05, 0.2])
     known = studies.analytic_emse(mu, sigma, SHOEBOX)
@@ -169,7 +164,7 @@ def distances(which: paper.Sampling) -> dict[tuple[str, float], float]:
 
 
 @pytest.mark.long
-def test_all_nine_scores_of_table_2_lie_within_three_standard_deviations_of_one_study() -> None:
+def test_all_nine_scores_of_table_2_lie_within_three_standard_deviations_of_one_study():
     """The paper's numbers are those of one study; what its text reads misses some of them."""
     found = distances("sigma_r")
     assert len(found) == 9
@@ -181,14 +176,14 @@ def test_all_nine_scores_of_table_2_lie_within_three_standard_deviations_of_one_
 @pytest.mark.parametrize(
     "areas", [SHOEBOX, HALL, np.array([1.0, 50.0])], ids=["box", "hall", "two"]
 )
-def test_lse_scores_the_same_whatever_the_areas(areas: np.ndarray) -> None:
+def test_lse_scores_the_same_whatever_the_areas(areas):
     row = by_method(studies.analytic_scores(areas, 0.07, 5000, seed=7))["lse", False]
     theory = 1 - np.sqrt(1 - 1 / areas.size)
     assert abs(row.score - theory) < 4 * row.standard_error
     assert row.score > 10 * row.standard_error
 
 
-def test_bounds_help_and_the_control_variate_shows_it() -> None:
+def test_bounds_help_and_the_control_variate_shows_it():
     study = studies.run(SHOEBOX, 0.1, 600, 400, seed=9)
     plain, controlled = by_method(study.scores()), by_method(study.controlled_scores())
     for row in study.bound_effects():
@@ -208,14 +203,14 @@ def test_bounds_help_and_the_control_variate_shows_it() -> None:
         assert row.first_quartile < aace < row.most
 
 
-def test_table_1_within_rounding() -> None:
+def test_table_1_within_rounding():
     low, high = paper.table_1_range(SHOEBOX)
     printed = np.array(list(paper.TABLE_1_EMSE.values()))
     assert np.all((printed > low) & (printed < high))
     assert np.all(high / low < 1.3)
 
 
-def test_the_halls_are_closed_and_have_the_papers_numbers() -> None:
+def test_the_halls_are_closed_and_have_the_papers_numbers():
     assert HALL.size == 23
     assert HALL.max() / HALL.min() == pytest.approx(66.6, rel=1e-12)
     assert pytest.approx(334) == 12.5 * 8 * 3.34
@@ -233,7 +228,7 @@ def test_the_halls_are_closed_and_have_the_papers_numbers() -> None:
 # Running ------------------------------------------------------------------------------------------
 
 
-def test_same_for_any_number_of_workers() -> None:
+def test_same_for_any_number_of_workers():
     one = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, workers=1)
     many = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, workers=3)
     assert np.array_equal(one.moments.products, many.moments.products)
@@ -245,7 +240,7 @@ def test_same_for_any_number_of_workers() -> None:
 # Tables, the command, bad input -------------------------------------------------------------------
 
 
-def test_command(tmp_path: Path, capsys) -> None:
+def test_command(tmp_path, capsys):
     size = ["--realisations", "30", "--trials", "20", "--sampling", "sigma_n"]
     assert run("study", *size, "--kind", "shoebox", "--out", tmp_path) == 0
     line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("MLE"))
@@ -270,6 +265,6 @@ def test_command(tmp_path: Path, capsys) -> None:
         (SHOEBOX, 0.1, 10.0, 1, "realisations"),
     ],
 )
-def test_bad_input(areas: Any, sigma_r: float, realisations: Any, trials: int, place: str) -> None:
+def test_bad_input(areas, sigma_r, realisations, trials, place):
     with pytest.raises(DataError, match=place):
         studies.run(areas, sigma_r, realisations, trials).scores()

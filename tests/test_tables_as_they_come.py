@@ -1,11 +1,7 @@
 """Tables as measuring systems and offices have them, beyond the shapes of `corpus.toml`."""
 
-from __future__ import annotations
-
 import datetime
 import sys
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -57,9 +53,7 @@ def dated(made: Any) -> None:
         ),
     ],
 )
-def test_what_only_a_workbook_has(
-    sheets: dict[str, Any], change: Callable[[Any], None], parameter: str, values: Any
-) -> None:
+def test_what_only_a_workbook_has(sheets, change, parameter, values):
     """A value beside it is a rule, where the table is refused."""
     content = book(sheets, change)
     if values is None:
@@ -71,7 +65,7 @@ def test_what_only_a_workbook_has(
     assert ('left out, hidden: "old"' in str(read)) == ("old" in sheets)
 
 
-def test_rew_writes_no_decay_as_zero_and_one_file_per_position(tmp_path: Path) -> None:
+def test_rew_writes_no_decay_as_zero_and_one_file_per_position(tmp_path):
     text = NAMED["REW, two measurements"].text
     cut = text.index("RT60 data", 5)
     (tmp_path / "a.txt").write_text(text[:cut].replace(" 1.5 ", " 0.000 "))
@@ -83,7 +77,7 @@ def test_rew_writes_no_decay_as_zero_and_one_file_per_position(tmp_path: Path) -
     assert m.values["d50"][0, 0] == pytest.approx(0.55, rel=1e-12)
 
 
-def test_a_workbook_straight_into_calibrate(tmp_path: Path, capsys) -> None:
+def test_a_workbook_straight_into_calibrate(tmp_path, capsys):
     room, path = rt.datasets.bras_cr2()[0], tmp_path / "room.toml"
     room.save(path)
     rows = [["f", "S1R1", "S1R2"], *([f, 1.5, 1.6] for f in room.centre_frequencies.tolist())]
@@ -93,7 +87,7 @@ def test_a_workbook_straight_into_calibrate(tmp_path: Path, capsys) -> None:
     assert run("report", path, "--out", tmp_path / "tables.xlsx") == 2
 
 
-def test_without_openpyxl_the_extra_is_named(monkeypatch) -> None:
+def test_without_openpyxl_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "openpyxl", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[tables\]'"):
         tables.parse(NAMED["other sheets"].content)
@@ -110,7 +104,7 @@ def test_without_openpyxl_the_extra_is_named(monkeypatch) -> None:
         ("S1R3 sweep 1", "S1R3 sweep 2"),
     ],
 )
-def test_repeats_are_proposed_and_read_by_their_usual_names(names: tuple[str, str]) -> None:
+def test_repeats_are_proposed_and_read_by_their_usual_names(names):
     rows = [["Hz", "S1R1", *names], [500, 1.5, 1.2, 1.4], [1000, 1.3, 1.0, 1.2]]
     content = book({"T20": rows})
     with pytest.raises(DataError, match="repeats at one position, use repeats=True"):
@@ -125,7 +119,7 @@ def test_repeats_are_proposed_and_read_by_their_usual_names(names: tuple[str, st
 PLACES = [["Position", 500, 1000], ["S1-R1", 1.5, 1.4], ["S2-R1", 1.6, 1.3]]
 
 
-def test_what_a_sheet_hides_is_left_out_and_what_it_strikes_through_is_said() -> None:
+def test_what_a_sheet_hides_is_left_out_and_what_it_strikes_through_is_said():
     def change(made: Any) -> None:
         sheet = made["T20"]
         sheet.row_dimensions[3].hidden = True

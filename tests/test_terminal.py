@@ -1,7 +1,5 @@
 """Every command runs, and its output fits the terminal; a long step says what it does."""
 
-from __future__ import annotations
-
 import re
 import time
 
@@ -16,7 +14,7 @@ pytest.importorskip("jinja2", reason="needs the extra report")
 pytestmark = pytest.mark.usefixtures("runs_kept")
 
 
-def test_an_error_is_one_line_where_no_one_looks(monkeypatch, capsys) -> None:
+def test_an_error_is_one_line_where_no_one_looks(monkeypatch, capsys):
     monkeypatch.delenv("COLUMNS", raising=False)
     name = "a-file-that-does-not-exist-" * 4
     assert run("calibrate", f"{name} and blanks.toml", "t.csv") == 2
@@ -25,8 +23,7 @@ def test_an_error_is_one_line_where_no_one_looks(monkeypatch, capsys) -> None:
     assert len(line) > 80
 
 
-def test_a_long_task_says_how_far_it_is_without_a_terminal(monkeypatch) -> None:
-    """`fit` was silent for fifteen minutes in a log."""
+def test_a_long_task_says_how_far_it_is_without_a_terminal(monkeypatch):
     lines: list[str] = []
 
     def another_line() -> str:

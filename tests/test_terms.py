@@ -1,7 +1,5 @@
 """Every term: its cvxpy expression against plain NumPy at random points, and what it refuses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -170,7 +168,7 @@ OBJECTIVE: dict[str, tuple[Any, Value]] = {
 
 @pytest.mark.parametrize("name", OBJECTIVE)
 @pytest.mark.parametrize("seed", range(3))
-def test_an_objective_term_has_its_value(name: str, seed: int) -> None:
+def test_an_objective_term_has_its_value(name, seed):
     term, by_numpy = OBJECTIVE[name]
     numbers = numbers_of(seed, *([] if getattr(term, "is_prior", False) else [term]))
     rng = np.random.default_rng(seed + 100)
@@ -189,7 +187,7 @@ def within(numbers: Numbers) -> tuple[np.ndarray, np.ndarray]:
         )
         for f in (1.05, 0.95)
     )
-    return tuple(np.nan_to_num(end - numbers.target) for end in ends)  # type: ignore[return-value]
+    return tuple(np.nan_to_num(end - numbers.target) for end in ends)
 
 
 def group(numbers: Numbers, x: np.ndarray, members: list[int]) -> np.ndarray:
@@ -229,7 +227,7 @@ ROWS: dict[str, tuple[Any, Callable[[Numbers, np.ndarray], np.ndarray]]] = {
 
 @pytest.mark.parametrize("name", ROWS)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_constraint_is_violated_by_as_much_as_it_should(name: str, seed: int) -> None:
+def test_a_constraint_is_violated_by_as_much_as_it_should(name, seed):
     term, by_numpy = ROWS[name]
     numbers = numbers_of(seed)
     x = 3 * np.random.default_rng(seed + 50).standard_normal(numbers.layout.size)
@@ -243,7 +241,7 @@ def test_a_constraint_is_violated_by_as_much_as_it_should(name: str, seed: int) 
 
 
 @pytest.mark.parametrize("term", [CORRELATED, BOTH, terms.HuberDeviation()])
-def test_a_prior_is_as_convex_as_it_claims(term: Any) -> None:
+def test_a_prior_is_as_convex_as_it_claims(term):
     numbers = numbers_of(1)
     r = correlation(numbers, 0.7 if term is CORRELATED else 0.6, common=term is BOTH)
     least = 0.01 if isinstance(term, terms.HuberDeviation) else 1 / np.linalg.eigvalsh(r).max()
@@ -251,7 +249,7 @@ def test_a_prior_is_as_convex_as_it_claims(term: Any) -> None:
     assert 0.5 * least < claimed <= least * (1 + 1e-12)
 
 
-def test_effects_widen_the_reach_of_their_own_band_and_side() -> None:
+def test_effects_widen_the_reach_of_their_own_band_and_side():
     effects = [
         terms.AddedAbsorption(name, gain, sigma=3.0)
         for name, gain in (("opening", [1.0, 0, 0, 0]), ("correction", [0, 0, -2.0, 0]))
@@ -265,7 +263,7 @@ def test_effects_widen_the_reach_of_their_own_band_and_side() -> None:
     np.testing.assert_allclose(most[0], [np.inf, full, total, total])
 
 
-def test_groups_of_shared_materials_stay_apart() -> None:
+def test_groups_of_shared_materials_stay_apart():
     room = random_room(np.random.default_rng(0), 5, 2)
     room = room.replace(alpha=np.full((5, 2), 0.3), sigma=np.full((5, 2), 0.1))
     shared = [terms.Shared("m1", "m3"), terms.Shared("m4", "m0")]
@@ -312,7 +310,7 @@ REFUSED: list[tuple[Callable[[], Any], type[Exception], str]] = [
 
 
 @pytest.mark.parametrize(("make", "error", "place"), REFUSED)
-def test_what_makes_no_sense_is_refused(make: Any, error: type[Exception], place: str) -> None:
+def test_what_makes_no_sense_is_refused(make, error, place):
     with pytest.raises(error, match=place):
         make()
 
@@ -351,20 +349,20 @@ BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
 
 @pytest.mark.parametrize(("objective", "constraints", "error", "place"), BUILT)
 def test_terms_that_do_not_fit_the_room_are_refused_when_built(
-    objective: Any, constraints: list[Any], error: type[Exception], place: str
-) -> None:
+    objective, constraints, error, place
+):
     room = random_room(np.random.default_rng(0), N, K)
     with pytest.raises(error, match=place):
         rt.Calibration(objective, constraints).build(room)
 
 
 @pytest.mark.parametrize("r", [-0.1, 1.0, np.nan])
-def test_a_correlation_of_bands_is_at_least_0_and_below_1(r: float) -> None:
+def test_a_correlation_of_bands_is_at_least_0_and_below_1(r):
     with pytest.raises((DataError, ModelError), match="band_correlation"):
         P(band_correlation=r)
 
 
-def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:
+def test_numbers_that_do_not_fit_are_refused_when_solved():
     room = random_room(np.random.default_rng(0), N, K)
     t = true_times(np.random.default_rng(0), room, EYRING)
     for objective, constraints, error, place in (

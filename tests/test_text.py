@@ -1,7 +1,5 @@
 """Printed text and notebook tables: widths, wrapping, control characters, escapes."""
 
-from __future__ import annotations
-
 import pytest
 
 from rtcal.support import text
@@ -14,7 +12,7 @@ def no_terminal(monkeypatch):
 
 
 @pytest.mark.parametrize(("columns", "expected"), [("20", 40), ("60", 60), ("120", 120)])
-def test_a_line_has_the_terminals_width_and_at_least_40(monkeypatch, columns, expected) -> None:
+def test_a_line_has_the_terminals_width_and_at_least_40(monkeypatch, columns, expected):
     monkeypatch.setenv("COLUMNS", columns)
     assert text.width() == expected
     rows = [(f"row {i}", [f"{i}.{j:04d}" for j in range(40)]) for i in range(3)]
@@ -24,20 +22,20 @@ def test_a_line_has_the_terminals_width_and_at_least_40(monkeypatch, columns, ex
     assert all(f"{i}.{j:04d}" in cells for i in range(3) for j in range(40))
 
 
-def test_sentences_are_wrapped_but_no_path_is_broken() -> None:
+def test_sentences_are_wrapped_but_no_path_is_broken():
     path = "/a" * 60
     lines = text.wrapped(f"the room is written to {path} as it is", indent="  ")
     assert path in [line.strip() for line in lines]
     assert [line for line in lines if len(line) > 80] == ["    " + path]
 
 
-def test_no_terminal_obeys_what_is_printed() -> None:
+def test_no_terminal_obeys_what_is_printed():
     hostile = "wall\x1b[2J\x07\x9b1m\u202e\ud800\tend\n"
     assert text.printable(hostile) == "wall\\x1b[2J\\x07\\x9b1m\\u202e\\ud800\tend\n"
     assert text.printable("Wände: 0,05 m² – 4 €") == "Wände: 0,05 m² – 4 €"
 
 
-def test_an_html_table_escapes_and_shades() -> None:
+def test_an_html_table_escapes_and_shades():
     table = Table(["125"], [Row("a & b", ["<3"], shade=[-2.0])], note="x < y")
     page = notebook("<T>", [table])
     assert "&lt;T&gt;" in page

@@ -1,10 +1,7 @@
 """BLAS is held to one thread where it is asked to, and given back."""
 
-from __future__ import annotations
-
 import threading
 
-import pytest
 from numba.core import caching
 from threadpoolctl import threadpool_info
 
@@ -15,7 +12,7 @@ def threads() -> set[int]:
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
-def test_concurrent_contexts_give_the_threads_back() -> None:
+def test_concurrent_contexts_give_the_threads_back():
     before, entered, leave = threads(), threading.Event(), threading.Event()
 
     def other() -> None:
@@ -33,6 +30,6 @@ def test_concurrent_contexts_give_the_threads_back() -> None:
     assert threads() == before
 
 
-def test_a_loop_is_compiled_where_no_folder_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_is_compiled_where_no_folder_can_be_written(monkeypatch):
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
     assert compiled(reorder=False)(lambda x: x + 1)(1.0) == 2.0

@@ -1,9 +1,5 @@
 """`tracing` belongs to a search that traces the room's scene, and is refused elsewhere."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -15,7 +11,7 @@ TRACING = {"n_paths": 300, "scattering": 0.3}
 
 
 @pytest.fixture
-def scene(tmp_path: Path) -> tuple[rt.Room, rt.Measurement, rt.Measurement]:
+def scene(tmp_path):
     """A room with a scene, a measurement of each pair, and its mean."""
     for name, content in example("where").files.items():
         (tmp_path / name).write_bytes(content)
@@ -28,7 +24,7 @@ def scene(tmp_path: Path) -> tuple[rt.Room, rt.Measurement, rt.Measurement]:
     return room, of_pairs, rt.Measurement.from_values(room.centre_frequencies, t20=times[0])
 
 
-def test_it_is_refused_elsewhere_and_why_is_true(scene) -> None:
+def test_it_is_refused_elsewhere_and_why_is_true(scene):
     room, of_pairs, mean = scene
     bare = room.replace(scene=type(room.scene)())
     simulator = rt.finder.case_of(room, of_pairs, tracing=TRACING)

@@ -1,7 +1,5 @@
 """A finding states claims made, claims right and the interval, as the benchmark counts them."""
 
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -18,12 +16,12 @@ from rtcal.report.finding_words import (
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
 
 
-def test_the_file_is_what_the_benchmark_writes() -> None:
+def test_the_file_is_what_the_benchmark_writes():
     assert benchmark.FILE.read_text(encoding="utf-8") == benchmark.text()
 
 
 @pytest.mark.parametrize("counts", [(0, 7), (7, 7), (3, 18), (79, 80)])
-def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, int]) -> None:
+def test_the_interval_is_that_of_the_binomial_distribution(counts):
     """At either end as many claims, or fewer and more, have a probability of 2.5 %."""
     share = Share(*counts)
     low, high = share.interval
@@ -34,7 +32,7 @@ def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, in
 
 @pytest.mark.parametrize("data", [records.TIMES, records.ALL, records.RUN])
 @pytest.mark.parametrize("verdict", VERDICTS)
-def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: str) -> None:
+def test_every_record_of_means_has_counts_and_an_interval(verdict, data):
     said = record_of_means(verdict, data)
     assert "tested in simulated rooms that were not used to develop it" in said
     assert data.replace(", C80", " or with C80") in said

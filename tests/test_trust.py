@@ -1,7 +1,5 @@
 """z, Q and the trust marks: right when the prior is true, and loud when it is not."""
 
-from __future__ import annotations
-
 import json
 import warnings
 
@@ -14,7 +12,7 @@ from rtcal.report.pages import page
 from tests.conftest import room_of
 
 
-def test_q_counts_correlated_bands_once() -> None:
+def test_q_counts_correlated_bands_once():
     """Two fully alike bands tell no more than one."""
     nearly = np.array([[1.0, 0.999999], [0.999999, 1.0]])
     found = plausibility(np.array([2.0, 2.0]), nearly, bound_active=False)
@@ -22,16 +20,14 @@ def test_q_counts_correlated_bands_once() -> None:
     assert plausibility(np.array([2.0, 2.0]), np.eye(2), bound_active=False).q == 8
 
 
-def test_five_materials_and_six_bands_take_at_most_forty_lines(
-    cr2, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_five_materials_and_six_bands_take_at_most_forty_lines(cr2, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     result = rt.calibrate(*cr2)
     assert result.alpha.shape == (5, 6)
     assert len(str(result).splitlines()) < 40  # and one for the files that are written
 
 
-def test_a_single_typing_error_is_stated_once(cr2) -> None:
+def test_a_single_typing_error_is_stated_once(cr2):
     room, _ = cr2
     result = rt.calibrate(room, [0.9, 0.8, 0.7, 0.7, 0.6, 90.0], unreachable="nearest")
     said = " ".join(str(result).split())
@@ -40,7 +36,7 @@ def test_a_single_typing_error_is_stated_once(cr2) -> None:
     assert "plaster, concrete, windows, floor and ceiling stand at their lower bounds" in said
 
 
-def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
+def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2):
     result = rt.calibrate(*cr2)
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}
     assert kinds == {("below_schroeder", 125), ("implausible", 125), ("implausible", 4000)}
@@ -53,7 +49,7 @@ def test_cr2_marks_125_hz_below_schroeder_and_implausible(cr2) -> None:
     assert all(m["advice"] for m in content["trust_marks"])
 
 
-def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
+def test_every_mark_is_given_where_it_belongs_and_nowhere_else():
     room = room_of(
         {"wall": (400, 0.05, 0.02), "seats": (150, 0.5, 0.1)},
         [63, 500, 4000, 8000],
@@ -93,7 +89,7 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else() -> None:
         rt.calibrate(room.replace(areas=[3, 1]), np.array([1.2, 1.2, 1.0, np.nan]))
 
 
-def test_a_loop_warns_of_missing_air_once(cr2) -> None:
+def test_a_loop_warns_of_missing_air_once(cr2):
     """`rt.loop.start` said nothing; its command did, by the calibration after it."""
     room, measured = cr2
     with pytest.warns(rt.errors.MissingAirWarning, match="has no air"):
@@ -104,7 +100,7 @@ def test_a_loop_warns_of_missing_air_once(cr2) -> None:
         rt.loop.start(room, measured)
 
 
-def test_uncertainty_of_t_over_pairs() -> None:
+def test_uncertainty_of_t_over_pairs():
     """Two sources x three receivers: n_eff is 3, not 6; never below ISO 3382-2's own variance."""
     rng = np.random.default_rng(3)
     t20 = 1.0 + 0.2 * rng.standard_normal((6, 2))
@@ -134,7 +130,7 @@ def test_uncertainty_of_t_over_pairs() -> None:
     assert stated.reverberation_time_uncertainty[0] == pytest.approx(0.06 / np.sqrt(6))
 
 
-def test_t20_is_taken_else_t30_never_edt() -> None:
+def test_t20_is_taken_else_t30_never_edt():
     measured = rt.Measurement.from_values(
         [250, 500, 1000], t20=[np.nan, 1.1, np.nan], t30=[1.2, 1.3, np.nan], edt=[1, 1, 1]
     )
@@ -142,7 +138,7 @@ def test_t20_is_taken_else_t30_never_edt() -> None:
     assert measured.reverberation_parameter == ("t30", "t20", "")
 
 
-def test_uncertainty_of_t_reaches_b_and_z(cr2) -> None:
+def test_uncertainty_of_t_reaches_b_and_z(cr2):
     """u_b = |db/dT| u_T, by a finite difference; z is smaller with it."""
     room, measured = cr2
     result = rt.calibrate(room, measured)
@@ -174,11 +170,11 @@ def _box(ceiling: float, **stated: object) -> rt.Room:
         surfaces=surfaces,
         centre_frequencies=[500, 1000],
         air=rt.Air(),
-        **stated,  # type: ignore[arg-type]
+        **stated,
     )
 
 
-def test_a_room_in_which_equations_differ_is_marked() -> None:
+def test_a_room_in_which_equations_differ_is_marked():
     """Directions stated by axis; Arau-Puchades' equation of the package is the oracle."""
     for ceiling in (0.05, 0.2, 0.8):
         room = _box(ceiling)
@@ -199,7 +195,7 @@ def test_a_room_in_which_equations_differ_is_marked() -> None:
         assert result.verdict.level != "agrees"
 
 
-def test_a_shift_that_a_bound_leaves_to_another_material_contradicts_what_was_stated() -> None:
+def test_a_shift_that_a_bound_leaves_to_another_material_contradicts_what_was_stated():
     """T of a ceiling at 1 and of walls that absorb five standard deviations more than stated.
 
     z says little, since the ceiling's sigma is large: but it cannot move as far. The oracle is the

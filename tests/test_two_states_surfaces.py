@@ -1,7 +1,5 @@
 """On which wall something changed between two measurements, with and without the directivity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,7 +7,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.finding import Finding
 from rtcal.report.finding_words import headline
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
@@ -61,7 +58,7 @@ def two_states() -> tuple[rt.Measurement, rt.Measurement]:
 
 
 @pytest.fixture(scope="module")
-def states() -> tuple[rt.Measurement, rt.Measurement]:
+def states():
     return two_states()
 
 
@@ -70,13 +67,13 @@ def simulator(directivity: dict[str, rt.Directivity]) -> PathTracing:
 
 
 @pytest.fixture(scope="module")
-def finding(states: tuple[rt.Measurement, rt.Measurement]) -> Finding:
+def finding(states):
     model = simulator(dict.fromkeys(PLACES, POINT))
     return rt.find(model.room, states[1], model, before=states[0])
 
 
 @pytest.mark.long
-def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None:
+def test_the_wall_that_changed_is_claimed_and_no_other(finding):
     assert finding.identified_surfaces == ("east",)
     assert 'The change is on "east".' in headline(finding)
     assert finding.surfaces["east"] == max(finding.surfaces.values())
@@ -84,9 +81,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None
 
 
 @pytest.mark.long
-def test_without_the_directivity_something_changed_but_no_surface_is_named(
-    states: tuple[rt.Measurement, rt.Measurement],
-) -> None:
+def test_without_the_directivity_something_changed_but_no_surface_is_named(states):
     model = simulator({})
     found = rt.find(model.room, states[1], model, before=states[0])
     assert found.detected
@@ -95,7 +90,7 @@ def test_without_the_directivity_something_changed_but_no_surface_is_named(
 
 
 @pytest.mark.long
-def test_the_changed_room_has_the_claimed_wall_as_a_material(finding: Finding, tmp_path) -> None:
+def test_the_changed_room_has_the_claimed_wall_as_a_material(finding, tmp_path):
     changed = finding.apply()
     assert changed.surfaces == ("east",)
     room = changed.room

@@ -1,9 +1,5 @@
 """A value far from its neighbours is called a likely typing error before anything else."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -29,9 +25,7 @@ def room(**stated: object) -> rt.Room:
 
 @pytest.mark.parametrize("factor", [1 / 20, 1 / 10, 10, 20])
 @pytest.mark.parametrize("band", range(6))
-def test_a_value_20_times_its_neighbours_is_found_and_nothing_else(
-    band: int, factor: float
-) -> None:
+def test_a_value_20_times_its_neighbours_is_found_and_nothing_else(band, factor):
     t = np.array(USUAL)
     assert not far_from_neighbours(t).any()
     t[band] *= factor
@@ -41,7 +35,7 @@ def test_a_value_20_times_its_neighbours_is_found_and_nothing_else(
     assert np.array_equal(far_from_neighbours(t[::-1]), far_from_neighbours(t)[::-1])
 
 
-def test_what_rooms_do_is_no_typing_error() -> None:
+def test_what_rooms_do_is_no_typing_error():
     """Church: the air halves T per octave. Booth: long in the first band."""
     church = np.array([9.5, 9.0, 8.2, 6.5, 4.2, 2.2, 1.0, 0.4])
     booth = np.array([0.55, 0.2, 0.15, 0.13, 0.12, 0.12])
@@ -57,7 +51,7 @@ def test_what_rooms_do_is_no_typing_error() -> None:
     assert in_measurement(measured) == []
 
 
-def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path: Path) -> None:
+def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path):
     table = np.tile(USUAL, (8, 1)) * np.linspace(0.97, 1.03, 8)[:, np.newaxis]
     table[5, 3] /= 20
     measured = rt.Measurement(
@@ -72,7 +66,7 @@ def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path: Path) -> N
     assert said.startswith("likely a typing error at 1000 Hz: T30 (S1 to R5) = ")
 
 
-def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_missed() -> None:
+def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_missed():
     alpha = room().alpha.copy()
     assert of_input(room()) == ()
     alpha[2, 3] = 0.035 / 2
@@ -96,9 +90,7 @@ def shipped() -> list[rt.Room]:
 
 @pytest.mark.parametrize("factor", [0.1, 10])
 @pytest.mark.parametrize("room", shipped(), ids=lambda room: room.name)
-def test_ten_times_each_value_of_a_shipped_room_is_named_where_it_can_be(
-    room: rt.Room, factor: float
-) -> None:
+def test_ten_times_each_value_of_a_shipped_room_is_named_where_it_can_be(room, factor):
     """Which slips of a decimal point are named, and which nobody can see."""
     t = rt.Eyring().reverberation_time(room)
     assert not any(mark.is_error for mark in of_input(room, t))
@@ -119,7 +111,7 @@ def test_ten_times_each_value_of_a_shipped_room_is_named_where_it_can_be(
 
 
 @pytest.mark.parametrize("wrong", ["area", "volume", "T", "alpha"])
-def test_every_command_names_the_same_doubts_in_the_same_order(wrong: str) -> None:
+def test_every_command_names_the_same_doubts_in_the_same_order(wrong):
     right = room()
     t = rt.Eyring().reverberation_time(right) * (10 if wrong == "T" else 1)
     areas, alpha = right.areas * ([1, 10, 1] if wrong == "area" else 1), right.alpha.copy()
@@ -143,7 +135,7 @@ def test_every_command_names_the_same_doubts_in_the_same_order(wrong: str) -> No
     assert [as_sentence(m.sentence) for m in rt.loop.start(stated, measured).doubts] == doubts
 
 
-def test_a_room_of_which_nothing_can_move_says_so() -> None:
+def test_a_room_of_which_nothing_can_move_says_so():
     exact = room().replace(sigma=np.zeros((3, 6)))
     assert [mark.kind for mark in of_input(exact)] == ["fixed"]
     with pytest.raises(rt.errors.InfeasibleError, match=r"^Sigma is 0 for every coefficient: no c"):

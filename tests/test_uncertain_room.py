@@ -1,7 +1,5 @@
 """A room whose volume, areas and climate are uncertain: the QP, its statistics, its file, bad input."""
 
-from __future__ import annotations
-
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -30,7 +28,7 @@ def room_of(seed: int, *, small: bool = False, **stated: object) -> rt.Room:
         alpha=mu,
         sigma=rng.uniform(0.02, 0.06, (4, 4)),
         centre_frequencies=BANDS,
-        **stated,  # type: ignore[arg-type]
+        **stated,
     )
 
 
@@ -59,7 +57,7 @@ def by_areas(room: rt.Room, t: np.ndarray, solver: str) -> np.ndarray:
 @pytest.mark.filterwarnings("ignore::rtcal.support.errors.MissingAirWarning")
 @pytest.mark.parametrize("solver", ["CLARABEL", "HIGHS"])
 @pytest.mark.parametrize("seed", range(3))
-def test_it_is_the_qp_with_areas_and_volume_among_the_unknowns(solver: str, seed: int) -> None:
+def test_it_is_the_qp_with_areas_and_volume_among_the_unknowns(solver, seed):
     room = room_of(seed, **STATED)
     t = times(room, seed)
     result = rt.calibrate(room, t, equation=SABINE)
@@ -70,7 +68,7 @@ def test_it_is_the_qp_with_areas_and_volume_among_the_unknowns(solver: str, seed
 
 
 @pytest.mark.parametrize("equation", [SABINE, rt.Eyring(), rt.Kuttruff()])
-def test_changes_of_the_target_are_derivatives(equation: rt.acoustics.equations.Equation) -> None:
+def test_changes_of_the_target_are_derivatives(equation):
     """Each change against the difference between two rooms that are a little off."""
     room = room_of(1, air=rt.Air(22, 40), common_area_sigma=0.02, climate_sigma=(2, 8), **STATED)
     t = times(room, 2)
@@ -93,7 +91,7 @@ def test_changes_of_the_target_are_derivatives(equation: rt.acoustics.equations.
     assert np.abs(changes).max(axis=1).min() > 1e-4
 
 
-def test_an_ever_more_certain_room_gives_the_exact_match() -> None:
+def test_an_ever_more_certain_room_gives_the_exact_match():
     room, _ = rt.datasets.bras_cr2()
     t = 1.05 * rt.Eyring().reverberation_time(room)
     exact = rt.calibrate(room, t)
@@ -103,7 +101,7 @@ def test_an_ever_more_certain_room_gives_the_exact_match() -> None:
     assert np.abs(far.shift).max() < 0.3 * np.abs(exact.shift).max()
 
 
-def test_q_knows_the_room_and_the_common_factor() -> None:
+def test_q_knows_the_room_and_the_common_factor():
     room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1, **STATED)
     t = times(room, 3)
     result = rt.calibrate(room, t, equation=SABINE)
@@ -122,7 +120,7 @@ def test_q_knows_the_room_and_the_common_factor() -> None:
     np.testing.assert_allclose(result.posterior_sigma.ravel(), left, rtol=1e-6)
 
 
-def test_several_configurations_share_the_volume() -> None:
+def test_several_configurations_share_the_volume():
     room = room_of(4, air=rt.Air(), **STATED)
     other = room.replace(name="furnished", areas=AREAS * [1, 0.5, 1, 1])
     t = [1.1 * SABINE.reverberation_time(r) for r in (room, other)]
@@ -136,7 +134,7 @@ def test_several_configurations_share_the_volume() -> None:
         Configurations([room, other.replace(volume_sigma=0.1)])
 
 
-def test_an_area_that_is_uncertain_in_one_configuration_counts_in_any_order() -> None:
+def test_an_area_that_is_uncertain_in_one_configuration_counts_in_any_order():
     room = room_of(4, air=rt.Air())
     other = room.replace(name="furnished", area_sigma={"floor": 0.2})
     t = [factor * SABINE.reverberation_time(room) for factor in (1.1, 1.08)]
@@ -152,7 +150,7 @@ def test_an_area_that_is_uncertain_in_one_configuration_counts_in_any_order() ->
 
 
 @pytest.mark.parametrize("method", ["mle", "soft", "smooth", "robust"])
-def test_a_standard_deviation_does_not_fall_where_the_room_is_less_certain(method: str) -> None:
+def test_a_standard_deviation_does_not_fall_where_the_room_is_less_certain(method):
     """Nor does it count as prior what a method wants beside it: it is that of the estimate."""
     exact = room_of(5, air=rt.Air())
     t = times(exact, 5)
@@ -166,7 +164,7 @@ def test_a_standard_deviation_does_not_fall_where_the_room_is_less_certain(metho
 
 
 @pytest.mark.parametrize("method", ["mle", "soft", "smooth"])
-def test_sensitivities_are_derivatives(method: str) -> None:
+def test_sensitivities_are_derivatives(method):
     """Every T counts, since all bands share the volume; also through the covariance, that T changes."""
     room = room_of(7, air=rt.Air(), common_alpha_sigma=0.1, **STATED)
     t = times(room, 7, 0.2)
@@ -180,7 +178,7 @@ def test_sensitivities_are_derivatives(method: str) -> None:
         )
 
 
-def test_a_common_factor_alone_has_an_interval() -> None:
+def test_a_common_factor_alone_has_an_interval():
     """Its tables may be off together, its volume and areas are exact: what an archive gives."""
     room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)
     result = rt.calibrate(room, times(room, 0, 0.02), "mle", SABINE)
@@ -208,6 +206,6 @@ def test_a_common_factor_alone_has_an_interval() -> None:
         ({"climate_sigma": (1, 5), "air": None}, "no air"),
     ],
 )
-def test_a_statement_that_is_none_is_refused(stated: dict[str, object], message: str) -> None:
+def test_a_statement_that_is_none_is_refused(stated, message):
     with pytest.raises(DataError, match=message):
         room_of(0, **{"air": rt.Air(), **stated})

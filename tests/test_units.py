@@ -1,7 +1,5 @@
 """Values that are legal but wrong by a unit: refused with what they look like, or marked where odd."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -21,7 +19,7 @@ from tests.test_robustness import room as usual
 room = partial(usual, sigma=[[0.02, 0.02], [0.05, 0.05]])
 
 
-def test_bands_between_the_nominal_ones_stay_as_they_are() -> None:
+def test_bands_between_the_nominal_ones_stay_as_they_are():
     """Twelfths of an octave, and a band of its own far from every third."""
     for f in ([106, 112, 118, 125, 132], [440.0, 1000], [124.9, 251.2]):
         kept = rt.Measurement.from_values(f, t20=np.ones(len(f))).centre_frequencies
@@ -58,9 +56,7 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
 
 
 @pytest.mark.parametrize(("call", "message"), REFUSED, ids=[m[:40] for _, m in REFUSED])
-def test_a_wrong_unit_is_refused_with_what_it_looks_like(
-    call: Callable[[], Any], message: str
-) -> None:
+def test_a_wrong_unit_is_refused_with_what_it_looks_like(call, message):
     with pytest.raises(RtcalError, match=message):
         call()
 
@@ -74,13 +70,13 @@ def kinds(stated: rt.Room) -> dict[str, str]:
     return {m.kind: m.text for m in result.trust_marks}
 
 
-def test_an_odd_sigma_is_marked() -> None:
+def test_an_odd_sigma_is_marked():
     assert "wide_sigma" not in kinds(room())
     text = kinds(room(sigma=[[1, 1], [0.05, 0.05]]))["wide_sigma"]
     assert text == 'sigma["a", 500 Hz] = 1 is above 0.5, and 1 more'
 
 
-def test_dimensions_of_another_volume_are_marked() -> None:
+def test_dimensions_of_another_volume_are_marked():
     assert "dimensions" not in kinds(room(dimensions=(10, 5, 4.1)))
     stated = room(dimensions=(10, 5, 3))
     assert "the dimensions 10 x 5 x 3 m hold 150 m³" in kinds(stated)["dimensions"]
@@ -88,7 +84,7 @@ def test_dimensions_of_another_volume_are_marked() -> None:
     assert "volume = 200 m³, but the dimensions" in unwrapped(result)
 
 
-def test_q_too_small_is_said() -> None:
+def test_q_too_small_is_said():
     assert [agreement(p) for p in (None, 0.01, 0.5, 1.0)] == [
         None,
         "contradicts",

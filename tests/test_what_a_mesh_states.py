@@ -1,9 +1,5 @@
 """Units, colours and names of layers in meshes are read as the format says, or refused by name."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -41,7 +37,7 @@ ROOMS = [code for code, length in units.OF_DXF.items() if length is not None]
 
 
 @pytest.mark.parametrize("code", ROOMS)
-def test_the_same_room_in_every_unit_of_dxf(code: int, tmp_path: Path) -> None:
+def test_the_same_room_in_every_unit_of_dxf(code, tmp_path):
     path = tmp_path / "room.dxf"
     length = units.OF_DXF[code]
     assert length is not None
@@ -53,12 +49,12 @@ def test_the_same_room_in_every_unit_of_dxf(code: int, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "length"), [(21, 0.3048006096), (8, 2.54e-8), (15, 10), (3, 1609.344)]
 )
-def test_units_of_dxf_are_those_of_the_reference(code: int, length: float) -> None:
+def test_units_of_dxf_are_those_of_the_reference(code, length):
     assert units.OF_DXF[code] == pytest.approx(length, rel=1e-9)
 
 
 @pytest.mark.parametrize("code", [25, 99, -1])
-def test_a_unit_that_dxf_does_not_have_is_refused(code: int, tmp_path: Path) -> None:
+def test_a_unit_that_dxf_does_not_have_is_refused(code, tmp_path):
     path = tmp_path / "room.dxf"
     path.write_text(dxf(code, 1.0))
     with pytest.raises(DataError, match=rf"line 8: \$INSUNITS = {code} is not a unit of DXF"):
@@ -66,7 +62,7 @@ def test_a_unit_that_dxf_does_not_have_is_refused(code: int, tmp_path: Path) -> 
     require_box(mesh.room(path, unit=1.0))
 
 
-def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path: Path) -> None:
+def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path):
     path = tmp_path / "room.dxf"
     for code in (None, 0):
         path.write_text(dxf(code, 1.0))

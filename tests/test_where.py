@@ -1,12 +1,8 @@
 """Say where: the wall of a shoebox on which something stands, and what follows from it."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -93,33 +89,31 @@ def measured(
 
 
 @pytest.fixture(scope="module")
-def finding(kept: Path) -> rt.finder.Finding:
+def finding(kept):
     case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     return rt.find(case, cache=kept)
 
 
 @pytest.fixture(scope="module")
-def of_openings(kept: Path) -> rt.finder.Finding:
+def of_openings(kept):
     """The same of one effect alone, which is quick."""
     case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     return rt.find(case, only=["opening"], cache=kept)
 
 
 @pytest.mark.long
-def test_an_opening_is_found_on_its_wall(finding: rt.finder.Finding) -> None:
+def test_an_opening_is_found_on_its_wall(finding):
     assert finding.detected
     assert next(iter(finding.surfaces)) == "east"
     best = finding.best
-    assert best is not None
     assert best.surface == "east"
     opening = next(c for c in finding.candidates if (c.effect, c.surface) == ("opening", "east"))
     assert opening.low < HIDDEN < opening.high
-    assert finding.family is not None
     assert finding.family.startswith("added absorption")
 
 
 @pytest.mark.long
-def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
+def test_nothing_is_found_where_nothing_is_hidden(kept):
     case = rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(False))
     finding = rt.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
@@ -129,14 +123,13 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["score", "noise", "means"])
-def test_a_score_that_is_no_number_is_refused(name: str) -> None:
+def test_a_score_that_is_no_number_is_refused(name):
     with pytest.raises(ModelError, match=rf"odds of {name} cannot be calculated"):
         Detection(**({"score": 0.0, "threshold": THRESHOLD} | {name: float("nan")}))
 
 
 @pytest.mark.long
-def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept: Path) -> None:
-    """A law: T20 moves farther towards little scattering than a derivative says. It was 22 nats."""
+def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept):
     room = stated()
     alpha = np.vstack([room.alpha[:-1], np.full((1, len(BANDS)), 0.6)])
     room = room.replace(alpha=alpha, sigma=0.1 * alpha)
@@ -147,7 +140,7 @@ def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept:
     assert finding.verdict == "none"
 
 
-def test_the_user_says_where_on_which_surface(of_openings: rt.finder.Finding) -> None:
+def test_the_user_says_where_on_which_surface(of_openings):
     """The most probable candidate on the surface at that place."""
     finding = of_openings
     made = finding.apply(at=(7.0, 2.2, 1.4))
@@ -163,9 +156,7 @@ def test_the_user_says_where_on_which_surface(of_openings: rt.finder.Finding) ->
 
 
 @pytest.mark.long
-def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
-    finding: rt.finder.Finding, kept: Path
-) -> None:
+def test_the_gap_shrinks_at_pairs_that_were_not_fitted(finding, kept):
     result = rt.finder.verify(finding, cache=kept)
     assert result.gaps.shape == (3, 1, 5, 6, 3)
     assert np.isfinite(result.gaps[-1]).all()
@@ -176,15 +167,14 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     assert len(result.places) == len(finding.pairs)
 
 
-def test_what_is_kept_is_not_simulated_again(of_openings: rt.finder.Finding, kept: Path) -> None:
+def test_what_is_kept_is_not_simulated_again(of_openings, kept):
     again = rt.find(of_openings.case, only=["opening"], cache=kept)
     assert again.score == of_openings.score
 
 
-def test_surfaces_join_the_faces_of_a_plane() -> None:
+def test_surfaces_join_the_faces_of_a_plane():
     box = Polyhedron.shoebox(SIZE, "plaster")
     made = patched(box, [1], 4.0, "plaster", "hole")
-    assert made is not None
     room = room_of(
         {"plaster": (sum(made.areas.values()), 0.1, 0.02)}, BANDS, made.volume, name="box"
     )
@@ -215,7 +205,7 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         ({"only": ["door"]}, "door"),
     ],
 )
-def test_a_wrong_case_is_refused(changes: dict[str, Any], place: str, kept: Path) -> None:
+def test_a_wrong_case_is_refused(changes, place, kept):
     room, data = stated(), measured(False)
     options = {"only": changes.pop("only")} if "only" in changes else {}
     if changes.get("simulator") == "calibrated":
@@ -226,7 +216,7 @@ def test_a_wrong_case_is_refused(changes: dict[str, Any], place: str, kept: Path
 
 
 @pytest.mark.long
-def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
+def test_coefficients_that_are_all_off_are_no_surface(kept):
     """Half as much again of all coefficients, with the prior of a handbook, names no surface."""
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
     room = stated().replace(sigma=0.3 * stated().alpha)
@@ -235,7 +225,7 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     assert finding.surface is None
 
 
-def test_the_next_position_is_free_and_informative(of_openings: rt.finder.Finding) -> None:
+def test_the_next_position_is_free_and_informative(of_openings):
     finding = of_openings
     places = rt.finder.positions.next_position(finding, number=6)
     assert len(places) == 6 * len(SOURCES)

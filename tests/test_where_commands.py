@@ -1,10 +1,7 @@
 """`rtcal find` and its kin with a geometry: what is printed, exit codes, what an interruption keeps."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.finder.finding import Finding
 from rtcal.finder.verification import Verification
-from tests.conftest import Commands, run
+from tests.conftest import run
 from tests.test_where import RECEIVERS, SOURCES, measured, stated
 from tests.test_where_page import PLACE, finding_of, verification_of
 
@@ -30,7 +27,7 @@ def some() -> Finding:
 
 
 @pytest.fixture
-def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
+def found(monkeypatch, tmp_path):
     """The slow part, which is not what these tests are about."""
     finding = some()
 
@@ -48,7 +45,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
     return finding
 
 
-def test_the_next_position_is_proposed(found: Finding, rtcal: Commands) -> None:
+def test_the_next_position_is_proposed(found, rtcal):
     record = json.loads(rtcal("plan", FOUND, "--json"))
     assert record["places"] == [
         {"point": list(PLACE.point), "source": PLACE.source, "pairs": PLACE.pairs}
@@ -58,7 +55,7 @@ def test_the_next_position_is_proposed(found: Finding, rtcal: Commands) -> None:
     assert "no surfaces are in question" in rtcal("plan", FOUND)
 
 
-def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_search_is_made_once(found, monkeypatch):
     """With other options, or other files, it is another one."""
     searches: list[Finding] = []
 
@@ -76,9 +73,7 @@ def test_the_same_search_is_made_once(found: Finding, monkeypatch: pytest.Monkey
     assert len(searches) == 4
 
 
-def test_nothing_found_is_said_and_nothing_is_written(
-    found: Finding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rtcal: Commands
-) -> None:
+def test_nothing_found_is_said_and_nothing_is_written(found, tmp_path, monkeypatch, rtcal):
     nothing = replace(found, verdict="none", named=(), family=None)
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: nothing)
     assert run("find", *FILES, "--out", "page") == 0
@@ -99,8 +94,6 @@ def test_nothing_found_is_said_and_nothing_is_written(
         (("--out", "pairs.csv"), "--out pairs.csv is a file, but the results need a folder"),
     ],
 )
-def test_a_wrong_option_is_refused(
-    options: tuple[str, ...], message: str, tmp_path: Path, rtcal: Commands
-) -> None:
+def test_a_wrong_option_is_refused(options, message, tmp_path, rtcal):
     assert message in rtcal.refused("apply", FOUND, "--out", "corrected", *options)
     assert not (tmp_path / "corrected").exists()

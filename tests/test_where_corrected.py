@@ -1,7 +1,5 @@
 """The corrected geometry: the patch on its surface, what simulators hear in it, what programs read."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -51,10 +49,7 @@ def triangulated(geometry: Polyhedron) -> Polyhedron:
 @pytest.mark.parametrize("geometry", [prism(L_PLAN), triangulated(prism(L_PLAN)), prism(U_PLAN)])
 @pytest.mark.parametrize("surface", ["floor", "ceiling", "wall 1"])
 @pytest.mark.parametrize("share", [0.02, 0.94, *also(0.5)])
-def test_a_patch_has_its_area_on_any_surface(
-    geometry: Polyhedron, surface: str, share: float
-) -> None:
-    """A U-shaped floor and a triangulated wall had no patch, or one of another triangle's size."""
+def test_a_patch_has_its_area_on_any_surface(geometry, surface, share):
     faces = [i for i, m in enumerate(geometry.materials) if m == surface]
     area = share * geometry.areas[surface]
     corners = geometry.triangles[np.isin(geometry.triangle_faces, faces)]
@@ -62,19 +57,17 @@ def test_a_patch_has_its_area_on_any_surface(
     places = [None, *(rng.dirichlet(np.ones(3)) @ triangle for triangle in corners)]
     for at in places:
         made = patched(geometry, faces, area, "patch", "patch", at)
-        assert made is not None
         assert made.areas["patch"] == pytest.approx(area, rel=1e-6)
         assert made.areas[surface] == pytest.approx(geometry.areas[surface] - area, rel=1e-6)
         assert made.volume == pytest.approx(geometry.volume)
         assert len(set(made.names)) == len(made.names)
 
 
-def test_the_patch_stands_where_it_is_wanted() -> None:
+def test_the_patch_stands_where_it_is_wanted():
     box = Polyhedron.shoebox(SIZE, "plaster")
 
     def middle(at: object) -> np.ndarray:
         made = patched(box, [1], 4.0, "hole", "hole", None if at is None else np.array(at))
-        assert made is not None
         hole = [i for i, m in enumerate(made.materials) if m == "hole"]
         return made.vertices[[v for i in hole for v in made.faces[i]]].mean(axis=0)
 
@@ -124,12 +117,12 @@ def candidate(surface: str, size: float, alpha: float = 0.8) -> Candidate:
 
 
 @pytest.fixture(scope="module")
-def box() -> PositionsCase:
+def box():
     geometry = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
     return case_in(geometry, dimensions=SIZE, surfaces=geometry.surfaces)
 
 
-def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
+def test_a_patch_of_alpha_1_is_drawn_larger(box):
     """So that a calibration can make it absorb more as well as less."""
     made = corrected_geometry(box, candidate("east", 6.0, 1.0))
     assert made.geometry.areas[made.material] == pytest.approx(6.0 / 0.9)
@@ -138,7 +131,7 @@ def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
     assert {"6.67", "6"} <= set(re.findall(r"[\d.]+(?= m²)", made.room.sources[made.material]))
 
 
-def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: PositionsCase) -> None:
+def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box):
     made = corrected_geometry(box, candidate("east", 16.0))
     assert made.form == "material"
     assert made.notes
@@ -157,8 +150,6 @@ def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: Positio
         ({"at": (7, 2, 1), "form": "material"}, "at"),
     ],
 )
-def test_a_wrong_place_is_refused(
-    box: PositionsCase, options: dict[str, object], message: str
-) -> None:
+def test_a_wrong_place_is_refused(box, options, message):
     with pytest.raises(DataError, match=re.escape(message)):
-        corrected_geometry(box, candidate("east", 6.0), **options)  # type: ignore[arg-type]
+        corrected_geometry(box, candidate("east", 6.0), **options)

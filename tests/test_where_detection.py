@@ -1,7 +1,5 @@
 """Whether something is other than stated: the positions decide."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -24,11 +22,11 @@ from tests.test_where import measured, stated, tracing
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.PositionsCase:
+def case():
     return rt.finder.PositionsCase(simulator=tracing(stated()), measured=measured(True))
 
 
-def test_the_positions_decide() -> None:
+def test_the_positions_decide():
     above, below = THRESHOLD + 0.1, THRESHOLD - 0.1
     assert Detection(above, THRESHOLD).verdict is None
     assert Detection(above, THRESHOLD, means=-1.0).verdict is None
@@ -37,7 +35,7 @@ def test_the_positions_decide() -> None:
 
 
 @pytest.mark.parametrize("ceiling", [0.2, 0.9])
-def test_what_is_called_added_absorption_adds_some(ceiling: float) -> None:
+def test_what_is_called_added_absorption_adds_some(ceiling):
     """A panel all over a ceiling of mineral wool lengthens T: it is no added absorption."""
     room = stated()
     alpha = np.array(room.alpha)
@@ -51,9 +49,7 @@ def test_what_is_called_added_absorption_adds_some(ceiling: float) -> None:
     assert {s.surface for s in tried} == set(range(6))
 
 
-def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
-    case: rt.finder.PositionsCase,
-) -> None:
+def test_the_means_have_the_pairs_and_the_geometry_of_the_case(case):
     less = replace(case, exclude=[("S1", "R2")], match=("t20", "c80", "ts"))
     (configuration,) = of_means(less).configurations
     assert set(configuration.measured.values) == {"t20", "c80"}
@@ -63,7 +59,6 @@ def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
         configuration.measured.uncertainty["t20"], case.measured.uncertainty["t20"][kept]
     )
     away = np.subtract(case.simulator.sources["S2"], case.simulator.receivers["R3"])
-    assert configuration.distances is not None
     assert configuration.distances[less.pairs.index(("S2", "R3"))] == pytest.approx(
         np.linalg.norm(away)
     )
@@ -72,9 +67,7 @@ def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
     np.testing.assert_allclose(along["floor wall"], [0, 0, 1], atol=1e-12)
 
 
-def test_the_families_of_the_means_are_multiplied_in(
-    case: rt.finder.PositionsCase,
-) -> None:
+def test_the_families_of_the_means_are_multiplied_in(case):
     some = [
         s.some(slice(0, 1))
         for s in shifts(case, library())

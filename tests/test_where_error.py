@@ -1,7 +1,5 @@
 """The error of what `rtcal.finder.positions` compares, by reference simulations of known errors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,7 @@ PAIRS = tuple(("S", f"R{i}") for i in range(SHAPE[1]))
 
 
 def controls(errors: np.ndarray, **more: object) -> ControlRuns:
-    return ControlRuns(parameters=("t20", "edt"), pairs=PAIRS, errors=errors, **more)  # type: ignore[arg-type]
+    return ControlRuns(parameters=("t20", "edt"), pairs=PAIRS, errors=errors, **more)
 
 
 STILL = np.zeros((*SHAPE, 2))
@@ -38,7 +36,7 @@ def error_of(
     )
 
 
-def test_beside_a_run_two_rooms_err() -> None:
+def test_beside_a_run_two_rooms_err():
     """The program errs against the real room's simulator as the real room does."""
     rng = np.random.default_rng(4)
     runs, noise = controls(rng.standard_normal((RUNS, *SHAPE))), np.zeros((GROUPS, *SHAPE))
@@ -56,7 +54,7 @@ def with_noise(error: float, noise: float, more_paths: int = 1) -> Any:
     return error_of(controlled, noise * rng.standard_normal((GROUPS, *SHAPE)))
 
 
-def test_the_noise_of_one_tracing_is_left_and_has_no_pattern() -> None:
+def test_the_noise_of_one_tracing_is_left_and_has_no_pattern():
     left = with_noise(0.1, 0.2)
     common = COMMON * 0.1**2 / SHAPE[1] - 0.1**2 / SHAPE[1]  # of the runs, as is assumed
     variance = np.diag(left)
@@ -74,7 +72,7 @@ def of_the_mean(noise: np.ndarray) -> np.ndarray:
     return np.asarray(covariance.reshape(*SHAPE, *SHAPE))
 
 
-def test_what_is_compared_has_noise_of_its_own() -> None:
+def test_what_is_compared_has_noise_of_its_own():
     # All parameters and bands of a pair share its paths. Here no pair shares those of another.
     rng = np.random.default_rng(5)
     of_pair = 0.2 * rng.standard_normal((GROUPS, 1, SHAPE[1], 1))
@@ -84,7 +82,7 @@ def test_what_is_compared_has_noise_of_its_own() -> None:
     assert abs(covariance[0, 2, 1, 0, 3, 1]) < 0.1 * expected
 
 
-def test_noise_of_the_derivatives_by_scattering_is_no_evidence() -> None:
+def test_noise_of_the_derivatives_by_scattering_is_no_evidence():
     """Each counts by the variance of the scattering that it multiplies; few paths say less."""
     rng = np.random.default_rng(8)
     of_groups = 0.2 * rng.standard_normal((GROUPS, 1, 1, 1, 2)) * np.ones((*SHAPE, 2))
@@ -97,7 +95,7 @@ def test_noise_of_the_derivatives_by_scattering_is_no_evidence() -> None:
     assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected, rel=0.25)
 
 
-def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
+def test_what_the_scattering_of_a_material_changes_is_no_evidence():
     """Neither as much in every band, nor another change in each; what pairs differ by is noise."""
     rng = np.random.default_rng(6)
     slope = rng.standard_normal((*SHAPE, 2))
@@ -109,7 +107,7 @@ def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
     assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected)
 
 
-def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
+def test_how_much_the_whole_room_scatters_is_no_evidence():
     """Its effect is no straight line: each level counts by its prior, in the mean over pairs."""
     of_pairs = np.zeros((3, 2, 6, len(TRACED)))  # bands, parameters, pairs
     of_pairs[:, 0] = [4.0, 1.0, -0.5]
@@ -138,7 +136,7 @@ def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
     assert room.stated(room.of(heard)) == pytest.approx(np.logaddexp.reduce(each))
 
 
-def test_only_what_is_common_to_all_pairs_is_assumed_smaller() -> None:
+def test_only_what_is_common_to_all_pairs_is_assumed_smaller():
     rng = np.random.default_rng(4)
     common, own = rng.standard_normal((2, 2000, *SHAPE))
     runs = own - own.mean(axis=2, keepdims=True) + 3 * common[:, :, :1]

@@ -1,7 +1,5 @@
 """Hypotheses: the return of a second room, and the error of what stands on a part of a surface."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -49,7 +47,7 @@ def balances(aperture: Aperture, first: np.ndarray, seconds: float) -> np.ndarra
 
 
 @pytest.mark.parametrize(("volume", "alpha"), [(60.0, 0.03), (400.0, 0.05), (400.0, 0.9)])
-def test_the_return_is_that_of_two_coupled_rooms(volume: float, alpha: float) -> None:
+def test_the_return_is_that_of_two_coupled_rooms(volume, alpha):
     aperture, first = Aperture(8.0, volume, alpha), np.array([12.0, 18.0])
     t = WIDTH * np.arange(800)
     opened = np.tile(np.exp(-first[:, np.newaxis] * t), (2, 1, 1))  # two receivers of one source
@@ -62,11 +60,11 @@ def test_the_return_is_that_of_two_coupled_rooms(volume: float, alpha: float) ->
 
 
 @pytest.mark.parametrize(("area", "within"), [(40.0, False), (9.0, True)])
-def test_a_size_ends_with_its_surface(area: float, within: bool) -> None:
+def test_a_size_ends_with_its_surface(area, within):
     sizes = np.array([2.0, 4.0, 8.0])
     made = replace(shift(0.0)[0], sizes=sizes, parameters=[{}] * 3, spectra=np.ones((3, 2)))
     case = SimpleNamespace(faces={"north": [0]}, areas={"north": area})
-    found = _candidate(case, [(made, np.array([0.0, 0.1, 0.9]))])  # type: ignore[arg-type]
+    found = _candidate(case, [(made, np.array([0.0, 0.1, 0.9]))])
     assert (found.high == area) == within
     assert found.size <= found.high <= area
 
@@ -93,7 +91,7 @@ def shift(uneven: float) -> tuple[ShiftHypothesis, np.ndarray]:
 
 
 @pytest.mark.parametrize("uneven", [0.0, 1.5])
-def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> None:
+def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven):
     hypothesis, nodes = shift(uneven)
     names, n_pairs, n = ("t20", "level"), 3, 12
     rng = np.random.default_rng(4)
@@ -128,7 +126,7 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
 
 
 @pytest.mark.parametrize("n", [1, LANES, LANES + 1])
-def test_errors_side_by_side_are_those_of_woodburys_identity(n: int) -> None:
+def test_errors_side_by_side_are_those_of_woodburys_identity(n):
     n_bands, n_columns, m = 3, 4, 2
     rng = np.random.default_rng(7)
     root = rng.standard_normal((n_bands * (1 + n_columns), 30)) / 5
@@ -150,13 +148,13 @@ def test_errors_side_by_side_are_those_of_woodburys_identity(n: int) -> None:
     assert more == pytest.approx(half[:, 0], rel=1e-12)
 
 
-def test_what_covers_a_whole_surface_is_even() -> None:
+def test_what_covers_a_whole_surface_is_even():
     factors = unevenness(np.array([1.0, 0.5, 1 / 9, 0.01]))
     assert factors == pytest.approx([0.0, 1.0, np.sqrt(8), np.sqrt(8)])
 
 
 @pytest.mark.parametrize("parameter", ["t20", "t30"])
-def test_the_decay_with_a_second_room_holds_a_decay_time(parameter: str) -> None:
+def test_the_decay_with_a_second_room_holds_a_decay_time(parameter):
     """Even where the paths end before the decay does."""
     t = WIDTH * np.arange(220)
     energy = np.exp(-13.8 * t / np.array([[0.4], [0.6]]))[np.newaxis].repeat(2, axis=0)

@@ -1,12 +1,9 @@
 """The page of a finding in a geometry and its figures, and what a verification may say."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -64,7 +61,7 @@ def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = (
 
 
 @pytest.fixture(scope="module")
-def finding() -> Finding:
+def finding():
     shares = {"wall 5": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
 
@@ -114,9 +111,7 @@ PAIRS = SimpleNamespace(
     ("plain", "corrected", "verdict"),
     [(2.0, 1.0, "supported"), (2.0, 1.98, "unproven"), (1.0, 2.0, "withdrawn")],
 )
-def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
-    plain: float, corrected: float, verdict: str
-) -> None:
+def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(plain, corrected, verdict):
     result = verification_of(PAIRS, {"before": 3.0, "plain": plain, "corrected": corrected})
     assert result.verdict == verdict
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
@@ -125,8 +120,7 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
 
 
 @pytest.mark.parametrize("name", ["t20", "edt"])
-def test_a_mean_that_is_missed_is_never_supported(name: str) -> None:
-    """T was 0.53 s for 0.645 ± 0.013 s, and the verdict was to use the model."""
+def test_a_mean_that_is_missed_is_never_supported(name):
     means = {"before": 3.0, "plain": 2.5, "corrected": 0.8}
     assert verification_of(PAIRS, means).verdict == "supported"
     row = PAIRS.parameters.index(name)
@@ -149,9 +143,7 @@ def test_a_mean_that_is_missed_is_never_supported(name: str) -> None:
     assert not with_band(1.2 + 12 * (-1.0) ** np.arange(6)).misses
 
 
-def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
-    """It had been enough that every seed's mean was smaller."""
-
+def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven():
     def change(gaps: np.ndarray) -> None:
         gaps[:, :, 0] = 0.1
 
@@ -161,7 +153,7 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     assert result.verdict == "unproven"
 
 
-def test_the_page_begins_with_the_answer_and_the_bars(finding: Finding, tmp_path: Path) -> None:
+def test_the_page_begins_with_the_answer_and_the_bars(finding, tmp_path):
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
     write_all(page_files(of_finding.page(finding, result, "", PLACE), result, tmp_path))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -1,7 +1,5 @@
 """Parts of large surfaces: a divided geometry traces the same paths, and something stands on a part."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +48,7 @@ def tracing(
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.PositionsCase:
+def case():
     south = SHOEBOX_WALLS.index("south")
     opened = patched(box(), [south], 6.0, "hole", "hole", np.array(PLACE))
     assert opened is not None
@@ -64,9 +62,7 @@ def case() -> rt.finder.PositionsCase:
     return rt.finder.PositionsCase(simulator=tracing(box()), measured=measured)
 
 
-def test_long_surfaces_are_divided_and_short_ones_are_not(
-    case: rt.finder.PositionsCase,
-) -> None:
+def test_long_surfaces_are_divided_and_short_ones_are_not(case):
     names = [list(case.faces)[part.surface] for part in case.divided.parts]
     assert names == [w for w in SHOEBOX_WALLS if w not in ("west", "east") for _ in range(3)]
     for name, faces in zip(case.faces, case.divided.surfaces, strict=True):
@@ -79,9 +75,7 @@ def test_long_surfaces_are_divided_and_short_ones_are_not(
     )
 
 
-def test_the_same_paths_are_traced_in_the_divided_geometry(
-    case: rt.finder.PositionsCase,
-) -> None:
+def test_the_same_paths_are_traced_in_the_divided_geometry(case):
     whole, alpha = case.simulator, case.room.alpha
     parts = tracing(case.divided.geometry)
     assert len(case.divided.geometry.faces) > len(whole.geometry.faces)
@@ -89,7 +83,7 @@ def test_the_same_paths_are_traced_in_the_divided_geometry(
     assert there == pytest.approx(here, abs=1e-3)
 
 
-def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
+def test_a_mesh_of_triangles_is_divided_as_its_walls_are():
     """The longest edge of a triangle is a diagonal, which is no side of the wall."""
     whole = box()
     corners = [whole.vertices[list(face)] for face in whole.faces]
@@ -108,7 +102,6 @@ def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
     assert [p.area for p in made.parts] == pytest.approx([area[n] for n in names])
     west = list(surfaces.of_geometry(mesh).values())[SHOEBOX_WALLS.index("west")]
     patch = patched(mesh, west, 3.0, "hole", "hole")
-    assert patch is not None
     hole = np.concatenate(
         [
             patch.vertices[list(f)]
@@ -119,9 +112,7 @@ def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
     assert np.ptp(hole, axis=0) == pytest.approx([0.0, 2.0, 1.5])
 
 
-def test_the_odds_of_a_surface_do_not_depend_on_its_parts(
-    case: rt.finder.PositionsCase,
-) -> None:
+def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case):
     def odds(every: list) -> dict[tuple[str, int | None, str], float]:
         total: dict[tuple[str, int | None, str], float] = {}
         for s in every:
@@ -137,11 +128,7 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(
     assert all(s.sizes.max() <= case.divided.parts[s.part].area for s in on_one)
 
 
-def test_coefficients_that_were_measured_are_seldom_off(
-    case: rt.finder.PositionsCase,
-) -> None:
-    """A material off by a factor was as probable in situ as with coefficients from a handbook."""
-
+def test_coefficients_that_were_measured_are_seldom_off(case):
     def odds(sigma: float) -> float:
         room = case.room.replace(sigma=sigma * case.room.alpha)
         made = materials(replace(case, simulator=replace(case.simulator, room=room)))

@@ -1,7 +1,5 @@
 """A case with another program's values in place of rtcal's own: its file, and what is compared."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,7 +32,7 @@ def read(folder: Path, measured: str = "measured.csv") -> rt.finder.PositionsCas
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A user's files: what pyroomacoustics says of the model, and of the room with 10 m² more."""
     where = tmp_path_factory.mktemp("program")
     room = stated()
@@ -43,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     def program(geometry: object, of: rt.Room, seed: int) -> rt.Measurement:
         tracer = RayTracing(
-            geometry=geometry,  # type: ignore[arg-type]
+            geometry=geometry,
             room=of,
             sources=SOURCES,
             receivers=RECEIVERS,
@@ -62,13 +60,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def finding(folder: Path) -> rt.finder.Finding:
+def finding(folder):
     """The same, with one effect alone, which is quick."""
     return rt.find(read(folder), only=["opening"], cache=folder / "kept")
 
 
 @pytest.mark.long
-def test_a_second_run_is_compared_at_pairs(finding: rt.finder.Finding, folder: Path) -> None:
+def test_a_second_run_is_compared_at_pairs(finding, folder):
     """The program simulates what is hidden, so that only its noise is left, by pair."""
     second = rt.Measurement.from_file(str(folder / "corrected.csv"))
     found = replace(finding, verdict="family", family="added absorption, flat")
@@ -115,18 +113,17 @@ def with_values(data: rt.Measurement, **values: object) -> rt.Measurement:
     return rt.Measurement(
         centre_frequencies=data.centre_frequencies,
         pairs=data.pairs,
-        values=kept,  # type: ignore[arg-type]
+        values=kept,
     )
 
 
 def blank(values: np.ndarray, where: object) -> np.ndarray:
     out = np.array(values)
-    out[where] = np.nan  # type: ignore[index]
+    out[where] = np.nan
     return out
 
 
-def test_what_a_run_lacks_is_left_out_and_named() -> None:
-    """A run without G was refused at positions, where means leave out what it lacks."""
+def test_what_a_run_lacks_is_left_out_and_named():
     whole = given(*MATCH)
     pairs = [pair for pair in whole.pairs if pair != ("S2", "R3")]
     edt = blank(whole.values["edt"], (slice(None), -1))
@@ -149,7 +146,7 @@ def test_what_a_run_lacks_is_left_out_and_named() -> None:
     assert replace(case, match=case.match).notes == case.notes
 
 
-def test_a_measurement_less_an_offset_keeps_its_relative_uncertainty() -> None:
+def test_a_measurement_less_an_offset_keeps_its_relative_uncertainty():
     """A calibration to it is that of the tracer plus the offset to the measurement."""
     whole = given(*MATCH)
     own = {"t20": np.full_like(whole.values["t20"], 0.02)}
@@ -165,7 +162,7 @@ def test_a_measurement_less_an_offset_keeps_its_relative_uncertainty() -> None:
     np.testing.assert_allclose(less.common_uncertainty["c80"], 0.4)
 
 
-def test_a_run_with_nothing_that_was_measured_is_refused() -> None:
+def test_a_run_with_nothing_that_was_measured_is_refused():
     with pytest.raises(DataError, match=r"no value in common: the simulation has T30 .* has T20"):
         beside(given("t30"), given("t20"))
     first, last = given("t20").select([("S1", "R1")]), given("t20").select([("S2", "R3")])

@@ -1,9 +1,5 @@
 """Sources of which nothing, or an index, is stated: their lobes are not claimed of the room."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
@@ -39,22 +35,22 @@ def aimed(index: ArrayLike) -> dict[str, rt.Directivity]:
 
 
 @pytest.fixture(scope="module")
-def measured() -> rt.Measurement:
+def measured():
     """The box as it is stated, measured with loudspeakers that aim at the microphone."""
     lobes = aimed(INDEX)
     return heard(box(scattering=0.45, n_paths=9600, directivity=lobes), stated().alpha)
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def kept(tmp_path_factory):
     return tmp_path_factory.mktemp("kept")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("match", [MATCH, MATCH[1:]], ids=["all", "without T"])
 def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
-    measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, match: tuple[str, ...]
-) -> None:
+    measured, kept, monkeypatch, match
+):
     case = rt.finder.PositionsCase(simulator=box(n_paths=800), measured=measured, match=match)
     finding = rt.find(case, cache=kept)
     assert not finding.detected
@@ -69,9 +65,7 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
 
 
 @pytest.mark.long
-def test_where_a_directivity_is_unknown_times_alone_are_asked(
-    measured: rt.Measurement, kept: Path
-) -> None:
+def test_where_a_directivity_is_unknown_times_alone_are_asked(measured, kept):
     simulator = box(n_paths=800, directivity=dict.fromkeys(SPEAKERS, "unknown"))
     found = rt.find(rt.finder.PositionsCase(simulator=simulator, measured=measured), cache=kept)
     assert found.parameters == ("t20",)
@@ -79,7 +73,7 @@ def test_where_a_directivity_is_unknown_times_alone_are_asked(
     assert found.surface is None
 
 
-def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> None:
+def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated():
     made = lobes(tracing(stated(), directivity={"S1": "unknown"}))
     assert [list(lobes) for lobes in made] == [["S2"]] * 7
     middle = np.mean(list(RECEIVERS.values()), axis=0)
@@ -97,7 +91,7 @@ def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> 
     assert together["S1"].aim == own["S1"].aim == lobe.aim
 
 
-def test_the_covariance_is_that_of_aims_that_are_drawn() -> None:
+def test_the_covariance_is_that_of_aims_that_are_drawn():
     rng = np.random.default_rng(1)
     pairs, f = [("A", "1"), ("A", "2"), ("B", "1")], np.array([500.0, 2000.0])
     nodes = rng.standard_normal((2, 6, 7))

@@ -1,7 +1,5 @@
 """Work that is shared by workers: the same numbers, whoever computes what, and whoever dies."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle
@@ -10,7 +8,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +33,7 @@ SHOEBOX = studies.paper.SHOEBOX
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
+def cluster():
     """A scheduler on this machine, with two workers, each a process of its own."""
     distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
     settings = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0"}
@@ -83,9 +81,7 @@ def refused(job: int) -> int:
 
 
 @pytest.mark.parametrize("where", [1, 3, "cluster"])
-def test_results_steps_and_errors_come_in_the_order_of_the_jobs(
-    where: int | str, request: pytest.FixtureRequest
-) -> None:
+def test_results_steps_and_errors_come_in_the_order_of_the_jobs(where, request):
     told: list[tuple[int, int]] = []
     if where == "cluster":
         made = workforce(with_workers(request.getfixturevalue("cluster"), 2))
@@ -105,7 +101,7 @@ def test_results_steps_and_errors_come_in_the_order_of_the_jobs(
         assert caught.value.bands == (2,)
 
 
-def test_a_worker_that_dies_costs_its_task_alone(cluster: Any, tmp_path: Path) -> None:
+def test_a_worker_that_dies_costs_its_task_alone(cluster, tmp_path):
     with workforce(with_workers(cluster, 2)) as some:
         task = partial(counted, tmp_path, 3, 1)
         assert [*some.in_order(task, range(8))] == [*range(8)]
@@ -113,7 +109,7 @@ def test_a_worker_that_dies_costs_its_task_alone(cluster: Any, tmp_path: Path) -
     assert runs == dict.fromkeys(range(8), 1) | {3: 2}
 
 
-def test_a_task_that_ends_every_worker_is_refused(cluster: Any, tmp_path: Path) -> None:
+def test_a_task_that_ends_every_worker_is_refused(cluster, tmp_path):
     with workforce(with_workers(cluster, 2)) as some:
         task = partial(counted, tmp_path, 0, 99)
         with pytest.raises(ClusterError, match=r"ended several workers of tcp.* give each worker"):
@@ -124,12 +120,12 @@ def test_a_task_that_ends_every_worker_is_refused(cluster: Any, tmp_path: Path) 
 
 
 @pytest.mark.parametrize("address", ["node1", "tcp://node1", "node1:8786", "", 5, "http://a:1"])
-def test_an_address_of_another_form_is_named(address: Any) -> None:
+def test_an_address_of_another_form_is_named(address):
     with pytest.raises(ClusterError, match="must be an address with a port"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler=address)
 
 
-def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra cluster")
     monkeypatch.setattr(workers, "_PATIENCE", 0.5)
     with socket.socket() as silent:  # listens, and says nothing
@@ -143,15 +139,13 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPat
                 studies.run(SHOEBOX, 0.05, 2, 2, scheduler=f"tcp://127.0.0.1:{port}")
 
 
-def test_a_scheduler_without_workers_is_named(
-    cluster: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scheduler_without_workers_is_named(cluster, monkeypatch):
     monkeypatch.setattr(workers, "_PATIENCE", 1.0)
     with pytest.raises(ClusterError, match="has no workers after 1 s: start some with `dask"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler=with_workers(cluster, 0))
 
 
-def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_dask_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[cluster\]'"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler="tcp://node1:8786")
@@ -160,9 +154,7 @@ def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
 # The same numbers ---------------------------------------------------------------------------------
 
 
-def test_reference_rooms_are_the_same_from_the_cluster(
-    cluster: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_reference_rooms_are_the_same_from_the_cluster(cluster, monkeypatch):
     few = {name: replace(engine, setups=2) for name, engine in engines.ENGINES.items()}
     monkeypatch.setattr(engines, "ENGINES", few)
     case, _ = rt.datasets.hidden_room()
@@ -181,13 +173,10 @@ def runs_of(**options: Any) -> tuple[np.ndarray, list[tuple[int, int]]]:
         progress=lambda *n: told.append(n),
         **options,
     )
-    assert made is not None
     return made.errors, told
 
 
-def test_reference_simulations_are_the_same_however_many_are_begun_at_once(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_reference_simulations_are_the_same_however_many_are_begun_at_once(monkeypatch):
     """Each needs longer paths than those before it, so that nearly all of them begin too short."""
     rising = lambda names, values, tracer, alpha: 1.5 + 3 * tracer.scattering.mean()  # noqa: E731
     monkeypatch.setattr(measured_pairs, "ahead_factor", rising)
@@ -208,7 +197,7 @@ def test_reference_simulations_are_the_same_however_many_are_begun_at_once(
     assert len(traced) > 16  # otherwise no guess was wrong, and the test shows nothing
 
 
-def test_a_tracing_is_sent_without_its_paths() -> None:
+def test_a_tracing_is_sent_without_its_paths():
     room = stated()
     tracer = tracing(room, n_paths=400)
     before = tracer.observe(room.alpha, seed=3).values
@@ -251,12 +240,8 @@ COMMANDS: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
     "name", ["study", "learn", *(pytest.param(n, marks=pytest.mark.long) for n in [*COMMANDS][2:])]
 )
 def test_a_command_prints_the_same_with_any_number_of_workers(
-    name: str,
-    cluster: Any,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    name, cluster, tmp_path, monkeypatch, capsys
+):
     make, arguments = COMMANDS[name]
     stated = tmp_path / "stated"
     stated.mkdir()

@@ -1,9 +1,6 @@
 """The worlds of `benchmarks/studies`: beside theory, their stored rooms, and rtcal told the truth."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,7 @@ from rtcal.simulators import PathTracing
 JUDGED = judged.rows_of()
 
 
-def test_rooms_with_nothing_hidden_decay_after_their_true_coefficients() -> None:
+def test_rooms_with_nothing_hidden_decay_after_their_true_coefficients():
     """Of the first world: 2 % above Eyring's T, since path lengths scatter (Kuttruff); noise of 2 %."""
     off = []
     parts = (read("hidden_world", 3, part) for part in ("case", "truth"))
@@ -34,7 +31,7 @@ def test_rooms_with_nothing_hidden_decay_after_their_true_coefficients() -> None
     np.testing.assert_allclose(np.quantile(off, [0.05, 0.95]), [-0.01, 0.06], atol=0.01)
 
 
-def test_a_case_of_the_first_world_holds_nothing_of_the_truth() -> None:
+def test_a_case_of_the_first_world_holds_nothing_of_the_truth():
     words = {word for name in judged.NAMES.values() for word in name.split()}
     words -= {"air", "area", "volume", "room"}  # a room's own words
     for stated in read("hidden_world", 1, "case"):
@@ -70,7 +67,7 @@ def compare(simulated: Any, exact: rt.Measurement) -> None:
 
 
 @pytest.mark.parametrize("index", [0, 3])
-def test_the_package_simulates_a_position_room_as_its_own_tracer(index: int) -> None:
+def test_the_package_simulates_a_position_room_as_its_own_tracer(index):
     truth = position_rooms.stored(0, "truth")[index]["truth"]
     case = position_rooms.load(0, index, "wide")
     alpha = position_rooms.true_alpha(0, index, "wide")
@@ -80,7 +77,7 @@ def test_the_package_simulates_a_position_room_as_its_own_tracer(index: int) -> 
 
 @pytest.mark.long
 @pytest.mark.parametrize("row", JUDGED[:6], ids=lambda row: f"{row['world']}-{row['index']}")
-def test_stored_findings_are_found_again(row: dict[str, Any], tmp_path: Path) -> None:
+def test_stored_findings_are_found_again(row, tmp_path):
     """Judged rooms, with T20, EDT and T30 and with all data."""
     again = judged.judge(row["world"], row["population"], row["index"], tmp_path / "controls.npz")
     for data in judged.DATA:

@@ -1,7 +1,5 @@
 """Two states of a room, of another equation than the finder's, with the noise of decays."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import rtcal as rt

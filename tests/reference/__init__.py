@@ -1,7 +1,5 @@
 """Slow and plain NumPy, against which compiled loops are tested."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from inspect import isfunction
 from types import ModuleType

@@ -3,8 +3,6 @@
 They trace all paths together, step by step, and have the arguments of `rtcal.simulators.kernels`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The loop of scattering delay networks in NumPy."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,14 +1,11 @@
 """Results and their pages, made once per file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop import Loop
 from rtcal.report import pages
 from rtcal.simulators.external import of_equation
 from tests.report.pages import evil_room
@@ -18,12 +15,12 @@ pytest.importorskip("jinja2", reason="jinja2 is not installed (rtcal[report])")
 
 
 @pytest.fixture(scope="module")
-def result() -> rt.calibration.result.CalibrationResult:
+def result():
     return rt.calibrate(*rt.datasets.bras_cr2())
 
 
 @pytest.fixture(scope="module")
-def html(result) -> str:
+def html(result):
     return pages.page(result)
 
 
@@ -34,17 +31,17 @@ def evil():
 
 
 @pytest.fixture(scope="module")
-def evil_html(evil) -> str:
+def evil_html(evil):
     return pages.page(evil)
 
 
 @pytest.fixture(scope="module")
-def loop_result() -> Loop:
+def loop_result():
     room, measured = rt.datasets.bras_cr2()
     simulator = of_equation(rt.Kuttruff(path_variance=0.9), room)
     return rt.calibrate_simulator(simulator, room, measured, rule="secant", tolerance=0.05)
 
 
 @pytest.fixture(scope="module")
-def loop(loop_result) -> Loop:
+def loop(loop_result):
     return replace(loop_result, simulator="", before=None, after=None, returned=None)

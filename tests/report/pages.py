@@ -1,7 +1,5 @@
 """Shared by the tests of the pages: a room of evil names, a finding, the command."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import rtcal as rt

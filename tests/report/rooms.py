@@ -1,7 +1,5 @@
 """A calibrated room with a mesh, for the tests of the room that a page shows."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import rtcal as rt

@@ -1,7 +1,5 @@
 """Properties that all commands have in common, and the command that writes the page."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from tests.conftest import run
 from tests.report.pages import no_figure
 
 
-def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
+def test_report_command(result, evil, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(document, "source", no_figure)
     folder = tmp_path / "calibrated"
     folder.mkdir()
@@ -56,7 +54,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
         document.render(document.Page("x", "", "", []))
 
 
-def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
+def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys):
     """Quiet prints nothing; JSON is JSON and nothing else, and both write the same files."""
     monkeypatch.chdir(tmp_path)
     room, measured = rt.datasets.bras_cr2()

@@ -1,7 +1,5 @@
 """Figures: what is drawn is what was calibrated."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -21,7 +19,7 @@ def line(axes, label):
     return next(x for x in axes.get_lines() if x.get_label() == label)
 
 
-def test_axes_have_units(result, loop) -> None:
+def test_axes_have_units(result, loop):
     every = [
         figures.reverberation_time(result),
         figures.gap(result),
@@ -34,7 +32,7 @@ def test_axes_have_units(result, loop) -> None:
             assert re.search(r"/ (s|JND|%)$|^α", axes.get_ylabel())
 
 
-def test_gap_and_reverberation_time(result) -> None:
+def test_gap_and_reverberation_time(result):
     bars = figures.gap(result).axes[0].containers[0]
     assert [b.get_height() for b in bars] == pytest.approx(result.gap_before.tolist())
     axes = figures.reverberation_time(result).axes[0]
@@ -44,7 +42,7 @@ def test_gap_and_reverberation_time(result) -> None:
     assert line(axes, "model after calibration").get_ydata() == pytest.approx(result.measured)
 
 
-def test_coefficients_and_their_intervals(result) -> None:
+def test_coefficients_and_their_intervals(result):
     axes = figures.coefficients(result).axes
     assert len([a for a in axes if a.get_visible()]) == 5
     for i, panel in enumerate(axes[:5]):
@@ -58,7 +56,7 @@ def test_coefficients_and_their_intervals(result) -> None:
         assert (low < result.alpha[i]).all()
 
 
-def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None:
+def test_intervals_without_an_exact_posterior_are_the_linear_estimates():
     found = rt.calibrate(*rt.datasets.bras_cr2(), method="lse")
     alpha, sigma = found.alpha, found.posterior_sigma
     cut = stats.truncnorm(-alpha / sigma, (1 - alpha) / sigma, alpha, sigma)
@@ -67,7 +65,7 @@ def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None
         np.testing.assert_allclose((end - cut.ppf(p)) / sigma, 0, atol=5e-3)
 
 
-def test_shares_add_up_and_are_the_areas(result) -> None:
+def test_shares_add_up_and_are_the_areas(result):
     shares = next(t for t in tables(of_calibration.page(result).blocks) if "Share of" in t.title)
     parts = {row.name: row.values for row in shares.rows}
     np.testing.assert_array_equal(sum(parts.values()), 100)
@@ -78,7 +76,7 @@ def test_shares_add_up_and_are_the_areas(result) -> None:
     np.testing.assert_allclose(parts["floor"], walls[3], atol=1)
 
 
-def test_the_papers_plane() -> None:
+def test_the_papers_plane():
     """Fig. 3b: mu (0.6, 0.5), sigma (0.05, 0.1) gives (0.54, 0.26); the truth is (0.6, 0.2)."""
     mu, sigma, areas = np.array([0.6, 0.5]), np.array([0.05, 0.1]), np.array([47.0, 47.0])
     alpha = rt.exact.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
@@ -87,7 +85,7 @@ def test_the_papers_plane() -> None:
     assert [v[0] for v in line(axes, "true").get_data()] == [0.6, 0.2]
 
 
-def test_the_loops_path(loop) -> None:
+def test_the_loops_path(loop):
     left, right = figures.path(loop).axes
     assert line(left, "first simulation").get_ydata() == pytest.approx(loop.steps[0].simulated)
     assert len(loop.steps) >= 2
@@ -99,7 +97,7 @@ def test_the_loops_path(loop) -> None:
         figures.path(begun)
 
 
-def test_the_same_figure_has_the_same_bytes(result) -> None:
+def test_the_same_figure_has_the_same_bytes(result):
     first, second = (figures.rendered(figures.gap(result), "svg") for _ in range(2))
     assert first == second
     assert len(first) > 5000

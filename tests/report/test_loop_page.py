@@ -1,7 +1,5 @@
 """The page of a closed loop says what the terminal says."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -10,7 +8,7 @@ import rtcal as rt
 from rtcal.report import pages
 
 
-def test_a_loops_page(loop, tmp_path) -> None:
+def test_a_loops_page(loop, tmp_path):
     path = tmp_path / "loop.json"
     loop.save(str(path))
     text = pages.page_of(path)
@@ -20,7 +18,7 @@ def test_a_loops_page(loop, tmp_path) -> None:
     assert f"{loop.steps[0].simulated[0]:.3f}" in text
 
 
-def test_a_loop_results_page(loop_result, tmp_path) -> None:
+def test_a_loop_results_page(loop_result, tmp_path):
     path = loop_result.save(tmp_path)
     text = pages.page_of(path)
     assert text == pages.page_of(tmp_path) == pages.page(loop_result)

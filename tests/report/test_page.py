@@ -1,7 +1,5 @@
 """The page of a calibration: what it says, and that names in it stay text."""
 
-from __future__ import annotations
-
 import base64
 import re
 from xml.etree import ElementTree
@@ -17,14 +15,14 @@ from tests.report.pages import no_figure
 
 
 @pytest.mark.long
-def test_the_page_has_its_numbers_and_pictures(html, result) -> None:
+def test_the_page_has_its_numbers_and_pictures(html, result):
     for text in ("15.6", "2.49", "1.40", "1.7e-05", "19.5 °C", result.measured_data.fingerprint):
         assert text in html, text
     assert len(html.encode()) < document.MAX_BYTES
     assert html.count("data:image/svg+xml") == 3
 
 
-def test_the_page_needs_nothing_else(html, evil_html) -> None:
+def test_the_page_needs_nothing_else(html, evil_html):
     for text in (html, evil_html):
         assert not re.search(r"<script|<iframe|<object|@import|url\(", text, re.I)
         targets = re.findall(r'(?:src|href)="([^"]*)"', text)
@@ -32,7 +30,7 @@ def test_the_page_needs_nothing_else(html, evil_html) -> None:
         assert all(t.startswith(("data:", "#")) for t in targets)
 
 
-def test_names_are_text_in_page_and_pictures(evil_html) -> None:
+def test_names_are_text_in_page_and_pictures(evil_html):
     text = evil_html
     assert "&lt;script&gt;alert(1)&lt;/script&gt; &amp; &#34;double&#34; &#39;single&#39;" in text
     assert "&lt;img src=x onerror=alert(2)&gt;" in text
@@ -50,7 +48,7 @@ def test_names_are_text_in_page_and_pictures(evil_html) -> None:
         assert not tags & {"script", "image", "foreignObject", "b"}
 
 
-def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None:
+def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("room.toml", "t.csv"):
         (coded,) = re.findall(rf'download="{name}" href="data:text/plain;base64,([^"]+)"', html)
@@ -64,7 +62,7 @@ def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None
 
 
 @pytest.mark.long
-def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
+def test_large_rooms_stay_below_the_limit(monkeypatch):
     """The table takes a hundred materials; a page beyond the limit is refused."""
     n, f = 130, [500.0, 1000.0]
     room = rt.Room(
@@ -86,7 +84,7 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
         pages.page(rt.calibrate(room, [1.0, 1.0]))
 
 
-def test_title_author_and_date_are_text(result, monkeypatch) -> None:
+def test_title_author_and_date_are_text(result, monkeypatch):
     """Also in the style sheet that prints them on each sheet."""
     monkeypatch.setattr(document, "source", no_figure)
     heading = document.Heading('Hall "A" </style><b>', "B & Sons", "2026-11-22")

@@ -1,7 +1,5 @@
 """The pages in a browser, on a phone, in the dark and on paper."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from tests.browser import chromium
 pytestmark = pytest.mark.long
 
 
-def test_in_a_browser(html, evil_html, tmp_path) -> None:
+def test_in_a_browser(html, evil_html, tmp_path):
     """The text is there, nothing is complained of on the console, and the pictures are drawn."""
     from matplotlib.image import imread
 
@@ -34,7 +32,7 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     assert "CONSOLE" in chromium(tmp_path, control, "--dump-dom").stderr
 
 
-def test_dark_mode_is_dark_in_its_figures_too(html, tmp_path) -> None:
+def test_dark_mode_is_dark_in_its_figures_too(html, tmp_path):
     """A white figure in a dark page dazzles."""
     from matplotlib.image import imread
 

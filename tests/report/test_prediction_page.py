@@ -1,16 +1,12 @@
 """The page of predictions and designs: what it must say, and that it needs nothing else."""
 
-from __future__ import annotations
-
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rtcal as rt
 from rtcal.prediction import Change, Target, Treatment, Variant, predict_variants
-from rtcal.prediction.designed import Design
 from rtcal.report import figures, pages
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -25,7 +21,7 @@ def result():
 
 
 @pytest.fixture(scope="module")
-def folder(result, tmp_path_factory) -> Path:
+def folder(result, tmp_path_factory):
     path = tmp_path_factory.mktemp("variants")
     variants = [
         Variant("window open", (Change(open="windows", area=2.0),)),
@@ -36,7 +32,7 @@ def folder(result, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
+def designed(result, tmp_path_factory):
     """A design whose page compares it with designs of other probabilities."""
     panel = rt.Material("panel", [0.5, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
     treatment = Treatment("panels", panel, 45, cost=90, covers="ceiling", unit=1.44)
@@ -47,7 +43,7 @@ def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
 
 
 @pytest.mark.long
-def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None:
+def test_a_designs_page_has_its_treatments_target_and_frontier(designed):
     found, folder, html = designed
     assert f"the cost is {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
@@ -60,7 +56,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
 
 
 @pytest.mark.long
-def test_a_designs_page_compares_designs_of_other_probabilities(designed) -> None:
+def test_a_designs_page_compares_designs_of_other_probabilities(designed):
     found, _, html = designed
     html = re.sub(' data-of="[^"]*"', "", html)
     costs = list(found.frontier.values())
@@ -71,7 +67,7 @@ def test_a_designs_page_compares_designs_of_other_probabilities(designed) -> Non
             assert f"<td>{design.areas[0]:.1f}</td><td>{design.cost:.0f}</td>" in html
 
 
-def test_the_interval_is_drawn_where_it_is(result) -> None:
+def test_the_interval_is_drawn_where_it_is(result):
     variant = result.predict(Change(open="windows", area=2.0), name="open")
     low, high = variant.interval
     f = variant.after.centre_frequencies

@@ -1,7 +1,5 @@
 """The room of a page: its data, its still pictures, its table, and what may run."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -27,7 +25,7 @@ def result(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def html(result) -> str:
+def html(result):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(document, "source", no_figure)
         return pages.page(result)
@@ -38,7 +36,7 @@ def data_of(html: str) -> dict:
     return json.loads(text)
 
 
-def test_the_data_are_the_rooms_and_the_calibrations(html, result) -> None:
+def test_the_data_are_the_rooms_and_the_calibrations(html, result):
     data = data_of(html)
     assert data["parts"] == list(result.prior.materials)
     corners = np.array(data["points"]).reshape(-1, 3)[data["triangles"]].reshape(-1, 3, 3) / 1000
@@ -59,7 +57,7 @@ def test_the_data_are_the_rooms_and_the_calibrations(html, result) -> None:
     assert data["quantities"][1]["high"] >= np.abs(moved).max()
 
 
-def test_nothing_but_the_rooms_script_may_run(html, result) -> None:
+def test_nothing_but_the_rooms_script_may_run(html, result):
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]+)"', html)
     (script,) = re.findall(r"<script>(.*?)</script>", html, re.S)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -70,7 +68,7 @@ def test_nothing_but_the_rooms_script_may_run(html, result) -> None:
     assert "script" not in without
 
 
-def test_evil_names_are_text(tmp_path, result) -> None:
+def test_evil_names_are_text(tmp_path, result):
     """In the data, in the table and in the pictures."""
     names = [EVIL, *result.prior.materials[1:]]
     box = rt.Room(
@@ -94,7 +92,7 @@ def test_evil_names_are_text(tmp_path, result) -> None:
     assert text.count("&lt;script&gt;alert(1)") >= 3  # materials' tables and the picture
 
 
-def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
+def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path):
     gone = calibrated(tmp_path)
     (tmp_path / "room.obj").unlink()
     (said,) = room_view.of_calibration(gone)
@@ -102,7 +100,7 @@ def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
     assert "room.obj" in said.text
 
 
-def test_a_still_shows_three_walls_of_a_box_from_inside(result) -> None:
+def test_a_still_shows_three_walls_of_a_box_from_inside(result):
     (section,) = room_view.of_calibration(result)
     for tilt, seen in ((room_view.ABOVE, [0, 0, 1]), (room_view.BELOW, [0, 0, -1])):
         into = room_view.into_picture(section.turn(tilt), tilt)

@@ -1,7 +1,5 @@
 """The room of a page in a browser: it draws, turns, is picked, is printed, and reads without WebGL."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -18,7 +16,7 @@ WEBGL = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader", "--virtual-ti
 
 
 @pytest.fixture(scope="module")
-def html(tmp_path_factory) -> Path:
+def html(tmp_path_factory):
     folder = tmp_path_factory.mktemp("room")
     result = calibrated(folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -34,7 +32,7 @@ def dom(html: Path, at: str = "", *options: str) -> str:
     return seen.stdout
 
 
-def test_it_turns_to_the_address_and_chooses_a_surface(html) -> None:
+def test_it_turns_to_the_address_and_chooses_a_surface(html):
     plain = dom(html)
     assert 'id="room-of-page" data-drawn="' in plain
     assert 'class="room turned"' in plain
@@ -46,7 +44,7 @@ def test_it_turns_to_the_address_and_chooses_a_surface(html) -> None:
     assert re.search(r'<tr class="chosen"><td><span[^>]*></span><span class="name"><button', turned)
 
 
-def test_without_webgl_the_still_pictures_and_the_table_are_there(html) -> None:
+def test_without_webgl_the_still_pictures_and_the_table_are_there(html):
     text = dom(html, "", "--disable-3d-apis", "--virtual-time-budget=4000")
     assert 'class="room turned"' not in text
     assert re.search(r'<div class="room-stage" hidden', text)
@@ -83,7 +81,7 @@ document.querySelector("iframe").onload = async event => {
 };</script>"""
 
 
-def test_pointer_keys_and_rows_choose_and_turn(html) -> None:
+def test_pointer_keys_and_rows_choose_and_turn(html):
     frame = html.parent / "hands.html"
     frame.write_text(_HANDS)
     options = (*WEBGL, "--allow-file-access-from-files", "--dump-dom")

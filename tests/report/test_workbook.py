@@ -1,7 +1,5 @@
 """The workbook of a result: every number of its page has a cell of its own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,11 +10,11 @@ openpyxl = pytest.importorskip("openpyxl", reason="needs the extra tables")
 
 
 def rows_of(book: object, name: str) -> dict[str, list[object]]:
-    sheet = book[name]  # type: ignore[index]
+    sheet = book[name]
     return {row[0].value: [cell.value for cell in row[1:]] for row in sheet.iter_rows()}
 
 
-def test_a_calibrations_numbers_have_cells(result, tmp_path) -> None:
+def test_a_calibrations_numbers_have_cells(result, tmp_path):
     result.save(tmp_path)
     pages.write_workbook(tmp_path, tmp_path / "hall.xlsx")
     book = openpyxl.load_workbook(tmp_path / "hall.xlsx")
@@ -35,7 +33,7 @@ def test_a_calibrations_numbers_have_cells(result, tmp_path) -> None:
     assert result.verdict.text in [row[0].value for row in book["summary"].iter_rows()]
 
 
-def test_a_loop_has_its_bands_and_what_was_simulated(loop_result, tmp_path) -> None:
+def test_a_loop_has_its_bands_and_what_was_simulated(loop_result, tmp_path):
     pages.write_workbook(loop_result.save(tmp_path), tmp_path / "loop.xlsx")
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
     left = rows_of(book, "By band")["deviation / JND"]
@@ -43,7 +41,7 @@ def test_a_loop_has_its_bands_and_what_was_simulated(loop_result, tmp_path) -> N
     assert "Absorption coefficients" in book.sheetnames
 
 
-def test_sheets_of_one_title_are_kept_apart(tmp_path) -> None:
+def test_sheets_of_one_title_are_kept_apart(tmp_path):
     room = rt.datasets.bras_cr2()[0]
     window = rt.prediction.Change(open="windows", area=2.0)
     found = rt.prediction.predict(rt.calibrate(*rt.datasets.bras_cr2()), window)

@@ -1,7 +1,5 @@
 """Law: in a diffuse box the simulator at positions and the equation predict one T of a change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.changes import Variant
 from rtcal.loop import ControlRuns, predict_positions
-from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Change
-from rtcal.prediction.predicted import Predictions
 from rtcal.prediction.words import SIZES
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
@@ -51,7 +47,7 @@ TRUTH = np.array([[0.15, 0.12], [0.2, 0.33]])
 
 
 @pytest.fixture(scope="module")
-def measured() -> rt.Measurement:
+def measured():
     other = tracing(a_room(), n_paths=16000, scattering=0.7)
     return other.simulate(TRUTH, seed=9)
 
@@ -66,7 +62,7 @@ HALF = Variant("half the tiles", (Change(cover="tiles", by=PANEL, area=SIZE[0] *
 
 
 @pytest.fixture(scope="module")
-def predicted(result) -> Predictions:
+def predicted(result):
     variants = [
         HALF,
         Variant("window", (Change(open="plaster", area=3.0),)),
@@ -76,7 +72,7 @@ def predicted(result) -> Predictions:
 
 
 @pytest.mark.long
-def test_both_predict_one_t_within_their_intervals(measured, result, predicted) -> None:
+def test_both_predict_one_t_within_their_intervals(measured, result, predicted):
     by_equation = rt.calibrate(a_room(), measured).predict(HALF.changes)
     at_positions = predicted.predictions[0]
     low, high = by_equation.interval
@@ -88,7 +84,7 @@ def test_both_predict_one_t_within_their_intervals(measured, result, predicted) 
 
 
 @pytest.mark.long
-def test_the_truth_of_the_change_is_within(predicted) -> None:
+def test_the_truth_of_the_change_is_within(predicted):
     """The change as another tracing hears it, whose new material is as stated."""
     other = tracing(a_room(), n_paths=16000, scattering=0.7)
     alpha = TRUTH.copy()
@@ -101,7 +97,7 @@ def test_the_truth_of_the_change_is_within(predicted) -> None:
 
 
 @pytest.mark.long
-def test_no_change_is_what_was_measured(measured, predicted) -> None:
+def test_no_change_is_what_was_measured(measured, predicted):
     found = predicted.predictions[2]
     assert found.middle == pytest.approx(found.simulated_before)
     assert found.change("t20") == pytest.approx(np.zeros_like(found.change("t20")), abs=1e-9)
@@ -110,7 +106,7 @@ def test_no_change_is_what_was_measured(measured, predicted) -> None:
 
 
 @pytest.mark.long
-def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted) -> None:
+def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted):
     """Its volume is in what was heard, too: calibrating takes out what both states share."""
     vague = replace(result, prior=result.prior.replace(volume_sigma=0.1))
     found, exact = predict_positions(vague, [HALF]).predictions[0], predicted.predictions[0]
@@ -124,7 +120,7 @@ def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted)
 
 
 @pytest.fixture(scope="module")
-def small() -> PositionsResult:
+def small():
     """Few paths: what is refused is refused before they count."""
     few = tracing(a_room(), n_paths=160)
     controls = ControlRuns(
@@ -136,7 +132,7 @@ def small() -> PositionsResult:
     )
 
 
-def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> None:
+def test_what_can_be_checked_is_refused_before_anything_is_simulated(small):
     def told(done: int, total: int) -> None:
         raise AssertionError("a reference simulation was simulated")
 

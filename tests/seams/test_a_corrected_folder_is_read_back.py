@@ -1,9 +1,5 @@
 """A law: what a corrected room's folder holds absorbs what the corrected room does, in every file."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -22,9 +18,7 @@ ROUNDED = 0.0005
 @pytest.mark.parametrize("wall_alpha", [0.05, 0.6])
 @pytest.mark.parametrize("surface", ["floor", "wall 5"])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_file_has_the_patch(
-    shape: str, surface: str, wall_alpha: float, form: str, tmp_path: Path
-) -> None:
+def test_every_file_has_the_patch(shape, surface, wall_alpha, form, tmp_path):
     case = case_in(SHAPES[shape], alpha=wall_alpha)
     made = corrected_geometry(case, candidate(surface, 4.0), form)
     made.save(tmp_path)

@@ -1,7 +1,5 @@
 """A pair that was measured badly says nothing of the room: its noise is no evidence of a gap."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -63,23 +61,23 @@ def score_of(**nats: float) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("more", [5.0, 40.0])
-def test_noise_lowers_the_score(more: float) -> None:
+def test_noise_lowers_the_score(more):
     assert score_of(**{NOISE: more})[0] < score_of()[0]
 
 
 @pytest.mark.parametrize("missing", ["porous", POSITION])
-def test_anything_else_raises_it(missing: str) -> None:
+def test_anything_else_raises_it(missing):
     assert score_of(**{missing: 5.0})[0] > score_of()[0] + 1.0
 
 
-def test_a_room_in_which_all_explain_alike_has_no_evidence_either_way() -> None:
+def test_a_room_in_which_all_explain_alike_has_no_evidence_either_way():
     assert score_of()[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_both_explain_is_no_evidence() -> None:
+def test_what_both_explain_is_no_evidence():
     assert score_of(porous=30.0)[0] > 10.0
     assert score_of(porous=30.0, **{NOISE: 33.0})[0] < 0.0
 
 
-def test_a_noisy_pair_has_a_score_of_its_own() -> None:
+def test_a_noisy_pair_has_a_score_of_its_own():
     assert score_of(**{NOISE: 20.0})[1] > 5.0 > score_of(porous=20.0)[1]

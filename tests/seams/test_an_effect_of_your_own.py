@@ -1,10 +1,7 @@
 """An effect of a user's own is one class, and both observation models find it where it may stand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -33,14 +30,14 @@ OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.PositionsCase:
+def case():
     return rt.finder.PositionsCase(
         simulator=tracing(stated(), n_paths=800), measured=measured(True)
     )
 
 
 @pytest.mark.long
-def test_it_is_found_on_the_wall_where_it_stands(case: rt.finder.PositionsCase, kept: Path) -> None:
+def test_it_is_found_on_the_wall_where_it_stands(case, kept):
     finding = rt.find(case, effects=OWN, cache=kept)
     hatches = [c for c in finding.candidates if c.effect == "hatch"]
     assert hatches[0].surface == "east"
@@ -53,6 +50,6 @@ def test_it_is_found_on_the_wall_where_it_stands(case: rt.finder.PositionsCase, 
 
 
 @pytest.mark.long
-def test_it_is_found_by_means_over_positions(case: rt.finder.PositionsCase) -> None:
+def test_it_is_found_by_means_over_positions(case):
     finding = rt.find(of_means(case), effects=OWN)
     assert finding.families["added absorption, hatches"] > 0.05

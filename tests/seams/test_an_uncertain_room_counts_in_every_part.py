@@ -1,7 +1,5 @@
 """A law: what a room states of its volume, areas, climate and tables counts in every part."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -50,7 +48,7 @@ def derivatives(room: rt.Room) -> np.ndarray:
 
 
 @pytest.mark.parametrize("of_level", [False, True])
-def test_changes_are_those_of_the_equation(of_level: bool) -> None:
+def test_changes_are_those_of_the_equation(of_level):
     room = box(**STATED)
     got = value_changes(room, derivatives(room), np.full(2, of_level))
     step = 1e-4
@@ -98,7 +96,7 @@ def calibrated(room: rt.Room, factor: float) -> PositionsResult:
 @pytest.mark.parametrize(
     "stated", [{"volume_sigma": 0.1}, {"area_sigma": 0.1}, {"common_area_sigma": 0.1}]
 )
-def test_coefficients_carry_less_of_what_the_room_explains(stated: dict[str, float]) -> None:
+def test_coefficients_carry_less_of_what_the_room_explains(stated):
     exact, uncertain = box(), box(**stated)
     taken = [calibrated(room, 1.1) for room in (exact, uncertain)]
     shift = [np.abs(result.room.alpha - exact.alpha) for result in taken]
@@ -114,7 +112,7 @@ def test_coefficients_carry_less_of_what_the_room_explains(stated: dict[str, flo
     assert (by_equation < 1).all()
 
 
-def test_tables_that_are_off_together_move_together() -> None:
+def test_tables_that_are_off_together_move_together():
     exact, together = box(), box(common_alpha_sigma=0.3)
     alone, common = (
         calibrated(room, 1 / 1.2).room.alpha / exact.alpha for room in (exact, together)
@@ -122,7 +120,7 @@ def test_tables_that_are_off_together_move_together() -> None:
     assert np.ptp(common) < np.ptp(alone)
 
 
-def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None:
+def test_a_loop_gives_the_materials_coefficients_beside_the_simulators():
     room = box(volume_sigma=0.1)
     simulator = rt.simulators.External(
         room=room,
@@ -144,9 +142,7 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
 
 
 @pytest.mark.parametrize("stated", [{"volume_sigma": 0.1}, {"area_sigma": 0.1}])
-def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(
-    stated: dict[str, float],
-) -> None:
+def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(stated):
     slopes = np.random.default_rng(0).uniform(-2, -1, (2, 5, 3))
 
     def variance(room: rt.Room) -> np.ndarray:
@@ -173,7 +169,7 @@ def variance_before(room: rt.Room) -> np.ndarray:
     return np.asarray((made.uncertainty_before / made.time_before) ** 2)
 
 
-def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
+def test_a_prediction_counts_that_the_tables_are_off_together():
     """Its T has the variance of the coefficients, those off together included."""
     sigma = np.full((3, 2), 1e-3)
     exact, uncertain = (box(common_alpha_sigma=t).replace(sigma=sigma) for t in (0, 0.03))
@@ -183,7 +179,7 @@ def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
 
 
 @pytest.mark.parametrize("name", list(STATED))
-def test_a_prediction_counts_each_area_of_its_own_and_the_climate(name: str) -> None:
+def test_a_prediction_counts_each_area_of_its_own_and_the_climate(name):
     """Its T has the variance of what the room states, as positions hear it; nothing else is unknown."""
     exact = box().replace(sigma=np.zeros((3, 2)))
     uncertain = exact.replace(**{name: STATED[name]})

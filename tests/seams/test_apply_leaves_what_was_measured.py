@@ -5,8 +5,6 @@ area or a volume may differ only by an effect that is about that very number; an
 added, the room absorbs more, in no band less.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -31,7 +29,7 @@ ABOUT = {"area", "volume"}
 
 
 @pytest.fixture(scope="module")
-def case() -> Case:
+def case():
     return rt.datasets.hidden_room()[0]
 
 
@@ -47,7 +45,7 @@ def at(case: Case, effect: Effect, place: float) -> AppliedEffect:
 
 @pytest.mark.parametrize("equation", ["millington", *also("eyring", "sabine", "kuttruff")])
 @pytest.mark.parametrize("effect", library(), ids=lambda e: str(e.name))
-def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str) -> None:
+def test_stated_areas_and_volume_stay(case, effect, equation):
     stated = case.room
     for place in (0.0, 0.3, 0.7, 1.0):
         with_it = replace(case, equation=equation, applied=[at(case, effect, place)])
@@ -71,7 +69,7 @@ def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str)
             )
 
 
-def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case) -> None:
+def test_a_volume_is_changed_only_where_its_error_is_claimed(case):
     hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
     found = rt.find(case, only=["volume", "opening"], controls=controls_of(case))
     fit = {"effect": "volume", "parameters": hidden.parameters, "size": math.nan}
@@ -105,7 +103,7 @@ def torn_at_positions(first: float, verdict: str = "ambiguous") -> Finding:
     return replace(found, verdict=verdict, named=(), family=None, candidates=tuple(every))
 
 
-def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated() -> None:
+def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated():
     unsure = torn_at_positions(0.29)
     assert unsure.can_be_added
     with pytest.raises(DataError, match=r"less than 30 %.*effect = NAME, or its place") as refused:

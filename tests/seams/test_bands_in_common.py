@@ -1,11 +1,8 @@
 """A law: room and file may differ in bands. What both have is compared; the rest is said once."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -40,7 +37,7 @@ def with_values(measured: rt.Measurement, bands: ArrayLike, columns: np.ndarray)
 
 
 @pytest.fixture(scope="module")
-def searched(kept: Path) -> Callable[[str], rt.finder.Finding]:
+def searched(kept):
     """Return the finding in the shipped room, whose file has other bands."""
     room = rt.Room.from_file(str(examples.path("where_room/room.toml")))
     measured = rt.Measurement.from_file(str(examples.path("where_room/pairs.csv")))
@@ -56,19 +53,13 @@ def searched(kept: Path) -> Callable[[str], rt.finder.Finding]:
 
 
 @pytest.fixture(scope="module")
-def gaps(searched: Callable[[str], rt.finder.Finding], kept: Path) -> np.ndarray:
+def gaps(searched, kept):
     return rt.finder.verify(searched("alike"), cache=kept).gaps
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("bands", ["one more", "thirds", "one fewer"])
-def test_bands_in_common_are_compared(
-    bands: str,
-    searched: Callable[[str], rt.finder.Finding],
-    gaps: np.ndarray,
-    kept: Path,
-) -> None:
-    """Another shape than the model's ended it, after the search."""
+def test_bands_in_common_are_compared(bands, searched, gaps, kept):
     found = searched(bands)
     about = ("T at 4000 Hz", "Of 240", "T is converted")
     assert [note for note in found.notes if note.startswith(about)] == NOTES[bands]
@@ -91,8 +82,7 @@ OTHERS = {
 
 
 @pytest.mark.parametrize(("frequencies", "said"), OTHERS.values(), ids=OTHERS)
-def test_the_library_s_loop_says_what_its_command_says(frequencies: list[float], said: str) -> None:
-    """`rt.loop.start` was silent; a calibration to a simulator says it with its result."""
+def test_the_library_s_loop_says_what_its_command_says(frequencies, said):
     room = rt.datasets.bras_cr2()[0]
     measured = rt.Measurement.from_values(frequencies, t20=np.full(len(frequencies), 1.8))
     with pytest.warns(OtherBandsWarning, match=said):

@@ -5,8 +5,6 @@ effects are those of the case that is read again, of the corrected room, of its 
 file. What one of them cannot hold it says: in its notes, or by a typed error.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -41,7 +39,7 @@ class Own(Effect):
     unit = ""
 
     @property
-    def name(self) -> str:  # type: ignore[override]
+    def name(self) -> str:
         return self.called
 
     def grid(self, state: RoomState) -> list[dict[str, float]]:
@@ -79,7 +77,7 @@ EVERY = [*library(), *OWN]
 
 
 @pytest.fixture(scope="module")
-def case() -> Case:
+def case():
     return rt.datasets.hidden_room()[0]
 
 
@@ -153,8 +151,7 @@ def agree(case: Case) -> None:
     same(spread.simulate(room.alpha).mean("t20"), time, "the simulator's T")
 
 
-def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(case: Case) -> None:
-    """A room that stated how sure its areas are had no corrected room: a row was missing."""
+def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(case):
     room = case.room.replace(area_sigma=0.05, surfaces=())
     porous = next(e for e in library() if e.name == "porous")
     made = corrected_case(replace(case, room=room, applied=[of(porous, case, 0.5)])).room
@@ -163,7 +160,7 @@ def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(case: Case) -> 
 
 @pytest.mark.parametrize("equation", ["eyring", *also("millington", "sabine", "kuttruff")])
 @pytest.mark.parametrize("effect", EVERY, ids=lambda e: str(e.name))
-def test_an_effect_alone(case: Case, effect: Effect, equation: str) -> None:
+def test_an_effect_alone(case, effect, equation):
     for place in (0.0, 1.0):
         p = of(effect, case, place)
         changed = replace(case, equation=equation, applied=[p])
@@ -177,7 +174,7 @@ def test_an_effect_alone(case: Case, effect: Effect, equation: str) -> None:
 
 @pytest.mark.parametrize("every", [5, *also(1)])
 @pytest.mark.parametrize("i", range(len(EVERY)), ids=lambda i: str(EVERY[i].name))
-def test_two_effects(case: Case, i: int, every: int) -> None:
+def test_two_effects(case, i, every):
     """Each pair once, or one in so many; of an effect's pairs, every second has it first."""
     for j in range(i % every, i, every):
         applied = [of(EVERY[i], case, 0.5), of(EVERY[j], case, 0.65)]
@@ -185,7 +182,7 @@ def test_two_effects(case: Case, i: int, every: int) -> None:
 
 
 @pytest.mark.parametrize("effect", EVERY, ids=lambda e: str(e.name))
-def test_the_calibrated_room_has_the_calibrated_model_s_time(case: Case, effect: Effect) -> None:
+def test_the_calibrated_room_has_the_calibrated_model_s_time(case, effect):
     """And that is the measured one: here that of the model with the effect, known to 3 %."""
     (first,) = case.configurations[:1]
     applied = [of(effect, case, 0.35)]

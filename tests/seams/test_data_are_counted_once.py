@@ -1,7 +1,5 @@
 """A law: no way of calibrating takes the same data twice, also not after a small change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -17,13 +15,13 @@ from tests.conftest import in_hall
 
 
 @pytest.fixture(scope="module")
-def room_and_times() -> tuple[rt.Room, np.ndarray]:
+def room_and_times():
     room, measured = rt.datasets.bras_cr2()
     return room, measured.reverberation_time
 
 
 @pytest.mark.parametrize("change", [0.0, 1e-7, -1e-7, 2e-5])
-def test_an_equation(room_and_times, change: float) -> None:
+def test_an_equation(room_and_times, change):
     room, times = room_and_times
     once = rt.calibrate(room, times).room
     with pytest.raises(DataError, match="already calibrated on these data"):
@@ -32,7 +30,7 @@ def test_an_equation(room_and_times, change: float) -> None:
 
 
 @pytest.mark.parametrize("change", [0.0, 1e-7, 2e-5])
-def test_every_position(room_and_times, change: float) -> None:
+def test_every_position(room_and_times, change):
     room, times = room_and_times
     pairs = [("S1", "R1"), ("S1", "R2")]
 
@@ -51,7 +49,7 @@ def test_every_position(room_and_times, change: float) -> None:
     assert names(room.replace(calibration=record), 0.01)
 
 
-def test_a_part_of_the_data_counts_once_too(room_and_times) -> None:
+def test_a_part_of_the_data_counts_once_too(room_and_times):
     room, times = room_and_times
     part = times.copy()
     part[0] = np.nan
@@ -63,7 +61,7 @@ def test_a_part_of_the_data_counts_once_too(room_and_times) -> None:
 
 
 @pytest.mark.parametrize("equal", [[2], [1, 4], [0, 2, 5]])
-def test_rounded_values_agree_by_chance_and_are_other_data(room_and_times, equal) -> None:
+def test_rounded_values_agree_by_chance_and_are_other_data(room_and_times, equal):
     room, times = room_and_times
     times = times.round(2)
     once = rt.calibrate(room, times).room
@@ -86,7 +84,7 @@ def at_places(room: rt.Room, times: np.ndarray, kept: list[int], **scale: float)
 
 
 @pytest.mark.parametrize("entry", ["mean", "positions"])
-def test_a_pair_is_left_out(room_and_times, entry: str, tmp_path) -> None:
+def test_a_pair_is_left_out(room_and_times, entry, tmp_path):
     room, times = room_and_times
 
     def data_of(of: rt.Room, kept: list[int], **scale: float) -> str:
@@ -115,7 +113,7 @@ def test_a_pair_is_left_out(room_and_times, entry: str, tmp_path) -> None:
 
 
 @pytest.mark.parametrize(("factor", "said"), [(1.0, True), (1.01, False)])
-def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, said) -> None:
+def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, said):
     room, times = room_and_times
     pairs = [("S1", "R1"), ("S1", "R2")]
     t20 = np.stack([times, 1.1 * times])
@@ -130,9 +128,7 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
 
 
 @pytest.mark.parametrize("match", [("t20",), ("edt", "t20"), ("edt",)])
-def test_a_fit_refuses_them_before_it_simulates(
-    match: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_refuses_them_before_it_simulates(match, monkeypatch):
     """It refused after more than 10 s of paths."""
 
     def begun(*_: object) -> None:
@@ -157,7 +153,7 @@ def test_a_fit_refuses_them_before_it_simulates(
 
 @pytest.mark.parametrize("bands", [[500, 1000, 2000], [125, 250, 500, 1000, 2000, 4000]])
 @pytest.mark.parametrize("equal", [True, False])
-def test_a_position_that_is_given_twice_is_said_in_python(bands: list[int], equal: bool) -> None:
+def test_a_position_that_is_given_twice_is_said_in_python(bands, equal):
     """The commands alone said it, of six values or more, where three fine ones are no chance, too."""
     room, measured = rt.datasets.bras_cr2()
     rows = [i for i, f in enumerate(room.centre_frequencies) if f in bands]
@@ -179,7 +175,7 @@ def test_a_position_that_is_given_twice_is_said_in_python(bands: list[int], equa
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.31, False), (1.94, True)])
-def test_few_rounded_values_are_equal_by_chance(value: float, said: bool) -> None:
+def test_few_rounded_values_are_equal_by_chance(value, said):
     """Three of 0.3 s with two decimals agree at two positions in one of some 4 cases."""
     heard = rt.Measurement(
         centre_frequencies=[500, 1000, 2000],
@@ -190,7 +186,7 @@ def test_few_rounded_values_are_equal_by_chance(value: float, said: bool) -> Non
 
 
 @pytest.mark.parametrize("method", ["joint", "mle", "lse", "smooth", "robust"])
-def test_one_state_that_is_given_twice_is_refused(room_and_times, method: str) -> None:
+def test_one_state_that_is_given_twice_is_refused(room_and_times, method):
     """Its T counted twice, where the command refused the same files."""
     room, times = room_and_times
     both = rt.Configurations([room, room], ["empty", "again"])
@@ -198,7 +194,7 @@ def test_one_state_that_is_given_twice_is_refused(room_and_times, method: str) -
         rt.calibrate(both, [times, times], method)
 
 
-def test_two_states_of_one_t_and_other_areas_are_two(room_and_times) -> None:
+def test_two_states_of_one_t_and_other_areas_are_two(room_and_times):
     room, times = room_and_times
     other = room.replace(areas=1.01 * room.areas)
     rt.calibrate(rt.Configurations([room, other], ["one", "two"]), [times, times], "joint")

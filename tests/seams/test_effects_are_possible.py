@@ -1,7 +1,5 @@
 """Law: no effect that a model states, and no size that a search gives, is outside what is possible."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np
@@ -9,21 +7,19 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case
-from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, columns, library
+from rtcal.finder.effects import AppliedEffect, checked_grid, columns, library
 from rtcal.finder.means.problem import state
 from rtcal.finder.model import RoomState, covered
 from rtcal.support.errors import DataError
 
 
 @pytest.fixture(scope="module")
-def case() -> Case:
+def case():
     return rt.datasets.hidden_room()[0]
 
 
 @pytest.mark.parametrize("effect", library(), ids=lambda e: str(e.name))
-def test_each_parameter_has_limits_and_values_beyond_them_are_refused(
-    effect: Effect, case: Case
-) -> None:
+def test_each_parameter_has_limits_and_values_beyond_them_are_refused(effect, case):
     grid = checked_grid(effect, state(case, case.configurations[0]), case.room)
     limits = effect.limits(case.room)
     assert set(limits) == set(grid[0])
@@ -42,7 +38,7 @@ def test_each_parameter_has_limits_and_values_beyond_them_are_refused(
 
 
 @pytest.mark.parametrize("effect", library(), ids=lambda e: str(e.name))
-def test_a_grid_at_once_is_each_set_by_itself(effect: Effect, case: Case) -> None:
+def test_a_grid_at_once_is_each_set_by_itself(effect, case):
     before = state(case, case.configurations[0])
     grid = checked_grid(effect, before, case.room)
     made = effect.changes(before, grid)
@@ -59,7 +55,7 @@ def test_a_grid_at_once_is_each_set_by_itself(effect: Effect, case: Case) -> Non
     np.testing.assert_allclose(together, alone, rtol=1e-14)
 
 
-def test_many_states_are_covered_as_one_is(case: Case) -> None:
+def test_many_states_are_covered_as_one_is(case):
     # 1 m² adds alpha by Eyring's equation and -ln(1 - alpha) by Millington's; the wall below it goes.
     one = replace(state(case, case.configurations[0]), equation="eyring")
     other = replace(one, equation="millington", alpha=0.5 * one.alpha)
@@ -85,12 +81,7 @@ def test_many_states_are_covered_as_one_is(case: Case) -> None:
         ("formula", {"equation": 1.5}, None),
     ],
 )
-def test_what_no_room_can_have_is_no_part_of_a_case(
-    case: Case,
-    name: str,
-    parameters: dict[str, float],
-    interval: tuple[float, float] | None,
-) -> None:
+def test_what_no_room_can_have_is_no_part_of_a_case(case, name, parameters, interval):
     with pytest.raises(DataError, match=f'effect "{name}"'):
         replace(case, applied=[AppliedEffect(name, parameters, interval)])
     data = case.to_dict() | {

@@ -4,8 +4,6 @@ It holds for each field of a room, of every kind of result, in every format: the
 materials, the folder of a result, the folder of a finding with its mesh.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json
@@ -140,7 +138,7 @@ SAID = {
 """What a report says of a field that the file does not hold."""
 
 
-def test_the_rooms_state_everything() -> None:
+def test_the_rooms_state_everything():
     """The law rests on it: a field that comes later is stated here, too."""
     usual = {f.name: f.default for f in dataclasses.fields(rt.Room)}
     for room in (stated(), calibrated()):
@@ -157,7 +155,7 @@ def differing(one: rt.Room, other: rt.Room) -> set[str]:
 
 
 @pytest.mark.parametrize("kind", ROOMS)
-def test_the_native_file_holds_everything(kind: str, tmp_path: Path) -> None:
+def test_the_native_file_holds_everything(kind, tmp_path):
     room = ROOMS[kind]()
     room.save(str(tmp_path / "room.toml"))
     assert differing(rt.Room.from_file(str(tmp_path / "room.toml")), room) == set()
@@ -171,9 +169,7 @@ LISTS = Path(__file__).parents[1] / "lists"
 @pytest.mark.parametrize("kind", ["stated", "fit", *also("calibrated", "loop", "patch")])
 @pytest.mark.parametrize("given", ["new", "without scattering", "with scattering"])
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_list_holds_what_it_does_not_say(
-    name: str, given: str, kind: str, tmp_path: Path
-) -> None:
+def test_a_list_holds_what_it_does_not_say(name, given, kind, tmp_path):
     module, room, path = FORMATS[name], ROOMS[kind](), tmp_path / "out"
     if name == "catt" and " " in "".join(room.materials):
         room = room.replace(materials=[m.replace(" ", "_") for m in room.materials], surfaces=())
@@ -205,15 +201,14 @@ def test_a_list_holds_what_it_does_not_say(
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
 
 
-def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
-    """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
+def test_the_page_of_a_fit_names_the_command_that_made_it():
     result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
     assert "--scattering-model" not in str(of_positions.command(result))
     kept = replace(result, scattering=None)
     assert "--scattering-model vector" in str(of_positions.command(kept))
 
 
-def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:
+def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path):
     made = patched()
     made.save(tmp_path)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
@@ -237,7 +232,7 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("ending", ["csv", "xlsx"])
-def test_a_measurement_is_read_back(ending: str, tmp_path: Path) -> None:
+def test_a_measurement_is_read_back(ending, tmp_path):
     rng = np.random.default_rng(3)
     values = {n: rng.uniform(0.5, 2.0, (3, 8)) for n in ("t20", "edt")} | {
         "d50": rng.random((3, 8))
@@ -278,9 +273,7 @@ def apart(names: list[str], **rows: Any) -> rt.Room:
 
 @pytest.mark.parametrize("parted", [("alpha",), ("scattering",), ("alpha", "scattering")])
 @pytest.mark.parametrize("scattering", [b"", b" L <15 15 15 15 15 15>"])
-def test_two_names_of_one_material_hold_the_rooms_values(
-    scattering: bytes, parted: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_two_names_of_one_material_hold_the_rooms_values(scattering, parted, tmp_path):
     """An alias of CATT that the room has otherwise gets values of its own."""
     path, names = tmp_path / "list.geo", ["floor", "door", "walls"]
     given = b"ABS floor = <10 20 30 40 50 60>" + scattering + b" {1 2 3}\r\n"

@@ -1,7 +1,5 @@
 """Whatever is asked of groups of paths and of derivatives holds wherever what they are of holds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -26,10 +24,7 @@ def box(alpha: float, n_paths: int) -> PathTracing:
 
 
 @pytest.mark.parametrize(("n_paths", "number", "seed"), [(400, 4, 1), (1600, 8, 0)])
-def test_groups_of_paths_are_followed_for_as_long_as_they_need(
-    n_paths: int, number: int, seed: int
-) -> None:
-    """The mean over the groups was long enough, a group was not, and a TooShortError came of it."""
+def test_groups_of_paths_are_followed_for_as_long_as_they_need(n_paths, number, seed):
     tracer = box(0.6, n_paths)
     groups = tracer.observe_in_groups(tracer.room.alpha, number, MATCH, seed=seed)
     assert np.isfinite(groups).all()

@@ -1,12 +1,9 @@
 """Laws of two states: exchanged, the same twice, twice as much, the climate alone, idle options."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -97,8 +94,7 @@ def panels() -> Two:
 @pytest.mark.parametrize(
     "two", [the_same_twice, panels, *also(*(partial(drawn, i) for i in range(6)))]
 )
-def test_exchanged_states_mirror_the_answer(two: Callable[[], Two]) -> None:
-    """Sizes were negated to 5 %, and a climate was claimed in one order of two states alone."""
+def test_exchanged_states_mirror_the_answer(two):
     there, back = both_ways(two())
     assert_mirrored(there, back)
     if there.can_be_verified:
@@ -109,7 +105,7 @@ def test_exchanged_states_mirror_the_answer(two: Callable[[], Two]) -> None:
 
 
 @pytest.mark.long
-def test_the_same_state_twice_is_no_change() -> None:
+def test_the_same_state_twice_is_no_change():
     """One file given twice, of one to fewer digits, and of one that was measured again."""
     once = measured(times(), 1)
     rounded = replace(once, values={"t20": once.values["t20"].round(2)})
@@ -126,7 +122,7 @@ def test_the_same_state_twice_is_no_change() -> None:
 
 
 @pytest.mark.long
-def test_twice_the_change_is_a_larger_one() -> None:
+def test_twice_the_change_is_a_larger_one():
     sizes = [
         rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).size.mean
         for n in (3, 6, 12, 24)
@@ -137,7 +133,7 @@ def test_twice_the_change_is_a_larger_one() -> None:
 
 
 @pytest.mark.long
-def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
+def test_the_order_of_pairs_and_of_effects_changes_nothing():
     before, after = measured(times(), 1), measured(times(8), 2)
     there = rt.find(room(), after, before=before)
     order = list(before.pairs)[::-1]
@@ -151,7 +147,7 @@ def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
 
 
 @pytest.mark.long
-def test_an_option_without_effect_is_refused() -> None:
+def test_an_option_without_effect_is_refused():
     stated, before, after = drawn(1)
     two = {"room": stated, "before": before, "after": after}
     dry = rt.find(stated, after, before=before, without=["air"])
@@ -170,7 +166,7 @@ def test_an_option_without_effect_is_refused() -> None:
         StatesCase(**{**two, "room": stated.replace(air=None)}, climate_uncertainty=(1, 5))
 
 
-def test_a_climate_alone_has_numbers_and_a_page_without_nan(tmp_path: Path) -> None:
+def test_a_climate_alone_has_numbers_and_a_page_without_nan(tmp_path):
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")
     two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 28), 3)]

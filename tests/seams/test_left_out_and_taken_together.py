@@ -1,7 +1,5 @@
 """A pair that is left out is as one that was not measured; what is taken together is said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +10,7 @@ from tests.test_where import RECEIVERS, measured, stated, tracing
 from tests.test_where_corrected import L_PLAN, prism, triangulated
 
 
-def test_a_pair_left_out_is_as_one_that_is_not_there() -> None:
+def test_a_pair_left_out_is_as_one_that_is_not_there():
     """T20 alone refused ``exclude``."""
     room, heard = stated(), measured(False)
     out = [pair for pair in heard.pairs if pair[1] == "R3"]
@@ -27,7 +25,7 @@ def test_a_pair_left_out_is_as_one_that_is_not_there() -> None:
     assert "Left out, as asked for: S1 to R3, S2 to R3." in left_out.notes
 
 
-def test_faces_of_other_names_on_one_surface_are_said() -> None:
+def test_faces_of_other_names_on_one_surface_are_said():
     mesh = triangulated(prism(L_PLAN))
     assert merged(mesh, of_geometry(mesh)) == ""
     part = mesh.names.index("wall 1 2")

@@ -1,7 +1,5 @@
 """A level that is off alike in all bands is told first; one that is tilted is not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -35,7 +33,7 @@ def notes(off: float, slope: float = 0.0) -> list[str]:
 
 
 @pytest.mark.parametrize("off", [-30, -5, 5, 20])
-def test_a_level_that_is_off_is_said(off: float) -> None:
+def test_a_level_that_is_off_is_said(off):
     said = notes(off)
     assert len(said) == 2
     for note in said:
@@ -43,12 +41,11 @@ def test_a_level_that_is_off_is_said(off: float) -> None:
         assert note.values["by"] == pytest.approx(abs(off), abs=0.5)
 
 
-def test_what_a_room_may_do_is_not_said() -> None:
+def test_what_a_room_may_do_is_not_said():
     assert notes(0) == []
     assert notes(5, slope=6) == []
 
 
-def test_a_level_that_fits_the_stated_room_is_not_said() -> None:
-    """A noise floor lengthens T. It had been said that G is 8 dB below what T gives."""
+def test_a_level_that_fits_the_stated_room_is_not_said():
     case, _ = rt.datasets.hidden_room("identified")
     assert _off_levels(problem(case)) == []

@@ -1,9 +1,6 @@
 """The reference of a relative level says nothing, and changes no result."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -43,7 +40,7 @@ def simulator() -> PathTracing:
 
 @pytest.mark.long
 @pytest.mark.parametrize("hidden", [False, True])
-def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
+def test_no_reference_changes_a_finding(hidden, kept):
     case = rt.finder.PositionsCase(simulator=simulator(), measured=relative(hidden))
     found = rt.find(case, cache=kept)
     other = rt.find(replace(case, measured=referred(case.measured)), cache=kept)
@@ -59,8 +56,7 @@ def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("off", [-3.0, -2.0, 2.0, 3.0])
-def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
-    """G that was 2 dB off in a box of another's tracer had named a volume, with 18.6 nats."""
+def test_a_gain_that_is_off_names_nothing(off, kept):
     made = measured(False, "g")
     values = {**made.values, "g": made.values["g"] + off}
     case = rt.finder.PositionsCase(simulator=simulator(), measured=replace(made, values=values))
@@ -70,9 +66,7 @@ def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
 
 
 @pytest.mark.long
-def test_no_reference_changes_a_calibration_to_every_position(
-    kept: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_reference_changes_a_calibration_to_every_position(kept, monkeypatch):
     monkeypatch.setattr(measured_pairs, "RUNS", 6)
     room, heard = stated(), relative(True)
     first, other = (

@@ -1,7 +1,5 @@
 """Law: a mark claims no more than the answer shows: a bound is no lack of absorption where T is met."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,11 +16,11 @@ def room(fixed: bool = False) -> rt.Room:
     return room_of(materials, [1000], 200, air=rt.Air(20, 50))
 
 
-def advice(result: rt.CalibrationResult) -> list[str]:
+def advice(result) -> list[str]:
     return [m.advice for m in result.trust_marks if m.kind == "at_bound"]
 
 
-def test_one_small_material_at_one_where_t_is_met() -> None:
+def test_one_small_material_at_one_where_t_is_met():
     stated = room()
     result = rt.calibrate(stated, EYRING.time(stated, stated.absorption_area + 1.0))
     assert result.active.ravel().tolist() == [0, 1, 0]
@@ -34,7 +32,7 @@ def test_one_small_material_at_one_where_t_is_met() -> None:
 
 
 @pytest.mark.parametrize("fixed", [False, True])
-def test_every_material_at_one(fixed: bool) -> None:
+def test_every_material_at_one(fixed):
     """A fixed material can supply nothing."""
     stated = room(fixed)
     t = rt.Sabine().time(stated, np.array([200.0]))

@@ -1,7 +1,5 @@
 """A room's areas and its mesh are two statements of one room: every entrance says where they differ."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -10,11 +8,11 @@ import pytest
 import rtcal as rt
 from rtcal.datasets.examples import example
 from rtcal.io import geometry_files
-from tests.conftest import Commands, run
+from tests.conftest import run
 
 
 @pytest.fixture
-def files(tmp_path: Path) -> Path:
+def files(tmp_path):
     for name, content in example("where").files.items():
         (tmp_path / name).write_bytes(content)
     return tmp_path
@@ -29,7 +27,7 @@ def larger_floor(files: Path) -> str:
     return str(path)
 
 
-def test_calibrate_says_where_an_area_is_not_the_meshs(files: Path, capsys) -> None:
+def test_calibrate_says_where_an_area_is_not_the_meshs(files, capsys):
     assert run("calibrate", files / "room.toml", files / "pairs.csv") == 0
     assert capsys.readouterr().err == ""
     said = "parquet has 86 m², but 56 m² in the geometry"
@@ -49,9 +47,8 @@ def test_calibrate_says_where_an_area_is_not_the_meshs(files: Path, capsys) -> N
     ],
 )
 def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
-    files: Path, rtcal: Commands, place: str, said: str
-) -> None:
-    """A receiver in the source was refused after the minutes of the simulations."""
+    files, rtcal, place, said
+):
     path = files / "room.toml"
     scene = rt.Room.from_file(str(path)).scene
     of_source = ", ".join(f"{x:g}" for x in scene.sources["S1"])
@@ -72,9 +69,7 @@ def test_a_position_that_cannot_be_is_refused_before_anything_is_simulated(
         ("area = 12.8", "area = 128", 'area of "glass" = 128 m² is 10 times the 12.8 m²'),
     ],
 )
-def test_another_unit_between_room_and_mesh_is_refused(
-    files: Path, rtcal: Commands, old: str, new: str, said: str
-) -> None:
+def test_another_unit_between_room_and_mesh_is_refused(files, rtcal, old, new, said):
     """A wrong unit or decimal point: no figure that follows from it could be right."""
     path = files / "room.toml"
     text = path.read_text()

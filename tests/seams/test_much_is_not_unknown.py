@@ -1,7 +1,5 @@
 """Laws of "unknown" at positions, and of halves that found another thing than all pairs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +36,7 @@ Searched = tuple[PositionsCase, PositionsProblem, PositionsHypotheses]
 
 
 @pytest.fixture(scope="module")
-def searched(kept: Path) -> Searched:
+def searched(kept):
     """Return the numbers of a search in a room for development that hides an opening on face 3."""
     room, hidden = load(0, 0, IN_SITU), truth(0, 0)
     assert (hidden["kind"], hidden["surface"]) == ("opening", 2)
@@ -49,7 +47,7 @@ def searched(kept: Path) -> Searched:
 
 
 @pytest.fixture(scope="module")
-def in_a_box(kept: Path) -> Searched:
+def in_a_box(kept):
     case = PositionsCase(simulator=tracing(stated()), measured=measured(True), match=MATCH)
     return numbers_of(case, kept)
 
@@ -74,10 +72,7 @@ def told(of: Searched, seed: int, hidden: bool, larger: float = LARGER) -> tuple
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1])
-def test_what_a_surface_explains_is_not_unknown_where_errors_are_larger(
-    searched: Searched, seed: int
-) -> None:
-    """ "Unknown" had 1.00 in both, where T falls by a quarter; the surface was first without it."""
+def test_what_a_surface_explains_is_not_unknown_where_errors_are_larger(searched, seed):
     said, score = told(searched, seed, hidden=True)
     assert score > 10
     assert said.probabilities[UNKNOWN] < 0.15
@@ -90,16 +85,14 @@ def test_what_a_surface_explains_is_not_unknown_where_errors_are_larger(
 @pytest.mark.long
 @pytest.mark.parametrize("room", ["in_a_box", *also("searched")])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_larger_errors_alone_claim_nothing(
-    seed: int, room: str, request: pytest.FixtureRequest
-) -> None:
+def test_larger_errors_alone_claim_nothing(seed, room, request):
     said, _ = told(request.getfixturevalue(room), seed, hidden=False)
     assert said.unexplained > (0.5 if room == "searched" else 0.1)
     assert max(p for n, p in said.families.items() if n not in (NONE, UNKNOWN)) < CLAIMED
     assert max(said.surfaces.values()) * said.on_surfaces < CLAIMED
 
 
-def test_what_no_effect_explains_is_as_probable_alone_as_beside_one() -> None:
+def test_what_no_effect_explains_is_as_probable_alone_as_beside_one():
     """Whatever is tried: one effect or a hundred."""
     case = PositionsCase(simulator=tracing(stated()), measured=measured(True))
     every = shifts(case, library())
@@ -133,7 +126,7 @@ def unknown(shares: dict[str, float], families: Sequence[str] = ("added absorpti
     )
 
 
-def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
+def test_what_holds_most_of_the_rest_is_said_and_applied():
     found = unknown({"wall 5": 0.8, "wall 0": 0.2})
     assert "added absorption explains most (over 99 % of the rest)" in " ".join(headline(found))
     assert found.can_be_added

@@ -1,7 +1,5 @@
 """A law: names that the eye does not tell apart are refused, of materials, sources and receivers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -21,16 +19,16 @@ LOOKS = {
 
 @pytest.mark.parametrize("name", LOOKS.values(), ids=LOOKS)
 class TestBeside:
-    def test_a_material(self, name: str) -> None:
+    def test_a_material(self, name):
         with pytest.raises(DataError, match=r"materials has .* differ only in"):
             rt.Room(name="box", volume=60, materials=["Wall1", name], areas=[20, 74],
                     alpha=[[0.4], [0.6]], sigma=[[0.1], [0.1]], centre_frequencies=[1000])  # fmt: skip
 
     @pytest.mark.parametrize("kind", ["source", "receiver"])
-    def test_a_place(self, kind: str, name: str) -> None:
+    def test_a_place(self, kind, name):
         pairs = [("Wall1", "R"), (name, "R")] if kind == "source" else [("S", "Wall1"), ("S", name)]
         with pytest.raises(DataError, match=rf"pairs has the {kind} .* differ only in"):
             rt.Measurement(centre_frequencies=[500], values={"t20": np.ones((2, 1))}, pairs=pairs)
 
-    def test_a_new_name(self, name: str) -> None:
+    def test_a_new_name(self, name):
         assert new_name([name], "Wall1") == "Wall1 (2)"

@@ -1,9 +1,6 @@
 """One registry says what each observable is: reading, measuring, fitting and finding ask it."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,7 +25,7 @@ def exponential(rate: float, width: float = WIDTH) -> np.ndarray:
 
 
 @pytest.mark.parametrize("key", OBSERVABLES)
-def test_the_linear_scale_is_linear_in_the_absorption(key: str) -> None:
+def test_the_linear_scale_is_linear_in_the_absorption(key):
     """The rate of an exponential decay is proportional to the absorption, its energy to 1 / rate."""
     kind = observable(key)
     rates = np.array([8.0, 10.0, 14.0])
@@ -41,7 +38,7 @@ def test_the_linear_scale_is_linear_in_the_absorption(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", OBSERVABLES)
-def test_theory_has_the_scatter_of_one_response(key: str) -> None:
+def test_theory_has_the_scatter_of_one_response(key):
     """Responses are drawn: bins of noise have the relative variance 1 / (B w)."""
     kind, band, time = observable(key), np.array([1000.0]), 0.8
     decay_of = exponential(6 * np.log(10) / time)
@@ -54,7 +51,7 @@ def test_theory_has_the_scatter_of_one_response(key: str) -> None:
 
 
 @pytest.mark.parametrize("key", OBSERVABLES)
-def test_thirds_average_and_uncertainties_are_of_a_kind(key: str) -> None:
+def test_thirds_average_and_uncertainties_are_of_a_kind(key):
     kind = observable(key)
     value = kind.natural(np.array([-1.0])) if kind.logarithmic else np.array([0.4])
     assert kind.averaging.inverse(kind.averaging.forward(value)) == pytest.approx(value)
@@ -63,7 +60,7 @@ def test_thirds_average_and_uncertainties_are_of_a_kind(key: str) -> None:
     assert abs(gap_jnd(value + kind.jnd_of(value), value, key)) == pytest.approx(1.0)
 
 
-def test_sti_is_that_of_iec_60268_16() -> None:
+def test_sti_is_that_of_iec_60268_16():
     """The MTF of an exponential decay (Houtgast and Steeneken 1973), and the weights of the octaves."""
     time = 1.2
     m = 1 / np.sqrt(1 + (2 * np.pi * MODULATIONS * time / (6 * np.log(10))) ** 2)
@@ -79,7 +76,7 @@ def test_sti_is_that_of_iec_60268_16() -> None:
     assert "STI of all bands: 0.60" in table
 
 
-def test_new_observables_are_read_and_written(tmp_path: Path) -> None:
+def test_new_observables_are_read_and_written(tmp_path):
     table = tables.parse(b"Frequency,D50 [%],STI\n500,48,0.55\n1000,52,0.61\n").measurement
     assert table.values["d50"].tolist() == [[0.48, 0.52]]
     assert table.values["sti"].tolist() == [[0.55, 0.61]]
@@ -92,7 +89,7 @@ def test_new_observables_are_read_and_written(tmp_path: Path) -> None:
         tables.parse(b"Frequency,STI\n500,55\n")
 
 
-def test_new_observables_are_measured_with_their_uncertainty() -> None:
+def test_new_observables_are_measured_with_their_uncertainty():
     pytest.importorskip("pyfar")
     pytest.importorskip("pyrato")
     rate = 8000
@@ -110,7 +107,7 @@ def test_new_observables_are_measured_with_their_uncertainty() -> None:
         assert 0 < common[0] < observable(key).jnd
 
 
-def test_an_observable_from_outside_is_simulated() -> None:
+def test_an_observable_from_outside_is_simulated():
     """As one file would: registered, it is simulated, fitted and printed."""
 
     class Late(Observable):

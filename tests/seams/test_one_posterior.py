@@ -1,7 +1,5 @@
 """Law: interval, standard deviation, samples, file and page speak of one distribution, which covers."""
 
-from __future__ import annotations
-
 from unittest.mock import patch
 
 import numpy as np
@@ -39,7 +37,7 @@ def solved(n: int, method: str, relative: float, more: float = 1.05, **prior: fl
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("n", [1, 2, 6])
 @pytest.mark.parametrize("relative", [0.02, *also(0.002, 0.1)])
-def test_far_from_the_bounds_all_say_the_same(n: int, method: str, relative: float) -> None:
+def test_far_from_the_bounds_all_say_the_same(n, method, relative):
     result = solved(n, method, relative)
     low, high = result.interval
     np.testing.assert_allclose(
@@ -55,7 +53,7 @@ def test_far_from_the_bounds_all_say_the_same(n: int, method: str, relative: flo
     np.testing.assert_allclose(entry["sigma_after"], result.room.sigma[0], rtol=1e-12)
 
 
-def test_one_material_is_as_uncertain_as_its_time() -> None:
+def test_one_material_is_as_uncertain_as_its_time():
     """Its coefficient is b / S: u_T alone is what can be off."""
     result = solved(1, "mle", 0.1)
     low, high = result.interval
@@ -65,7 +63,7 @@ def test_one_material_is_as_uncertain_as_its_time() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", [*range(4), *also(*range(4, 12))])
-def test_the_interval_holds_its_own_value(method: str, seed: int) -> None:
+def test_the_interval_holds_its_own_value(method, seed):
     """Also at a bound, and where T is beyond reach."""
     rng = np.random.default_rng(seed)
     stated = room(int(rng.integers(1, 7)))
@@ -81,7 +79,7 @@ def test_the_interval_holds_its_own_value(method: str, seed: int) -> None:
     assert ((other[0] <= result.alpha) & (result.alpha <= other[1])).all()
 
 
-def test_an_unknown_uncertainty_counts_as_none() -> None:
+def test_an_unknown_uncertainty_counts_as_none():
     stated = room(1)
     result = rt.calibrate(stated, EYRING.time(stated, 1.05 * stated.absorption_area))
     np.testing.assert_allclose(*result.interval, rtol=1e-15)  # one rounding
@@ -90,7 +88,7 @@ def test_an_unknown_uncertainty_counts_as_none() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", ["soft", *also("mle")])
-def test_the_interval_covers(method: str) -> None:
+def test_the_interval_covers(method):
     """The first 160 rooms of benchmarks/studies/calibrations/interval_coverage.py: 0.9 ± 0.013."""
     with patch.object(interval_coverage, "METHODS", (method,)):
         found = list(interval_coverage.rows(160))

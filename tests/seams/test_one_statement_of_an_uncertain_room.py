@@ -1,7 +1,5 @@
 """A room's statement of its volume and areas is one statement, wherever the room goes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,7 @@ STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}
 
 
 @pytest.fixture(scope="module")
-def room() -> rt.Room:
+def room():
     return rt.datasets.bras_cr2()[0].replace(surfaces=())
 
 
@@ -21,7 +19,7 @@ def measured(room: rt.Room) -> rt.Measurement:
     return rt.Measurement.from_values(room.centre_frequencies, t20=t)
 
 
-def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) -> None:
+def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room):
     """The simulator is brought to T all the same, so the room's share must not drift into alpha."""
     loops = []
     for each in (room, room.replace(**STATED)):
@@ -31,7 +29,7 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
     assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
 
 
-def test_an_archive_counts_it(room: rt.Room) -> None:
+def test_an_archive_counts_it(room):
     shapes = {"A": [1, 1, 1, 1, 1], "B": [1, 2, 1, 0.5, 1], "C": [2, 1, 1, 1, 0.5]}
     exact = [room.replace(name=n, areas=room.areas * np.array(s)) for n, s in shapes.items()]
     sure, unsure = (

@@ -1,7 +1,5 @@
 """Calibrate and find state once what coefficients are off by, alone and together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats
@@ -13,7 +11,7 @@ from rtcal.finder.evidence import directions
 from tests.conftest import room_of
 
 
-def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> None:
+def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes():
     room, measured = rt.datasets.bras_cr2()
     result = rt.calibrate(room, measured)
     case = Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
@@ -28,7 +26,7 @@ def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> 
     assert found.p_together > 100 * found.p_value
 
 
-def test_what_errors_in_common_explain_is_no_contradiction() -> None:
+def test_what_errors_in_common_explain_is_no_contradiction():
     """Every coefficient is 20 % too small: improbable one by one, and usual of a handbook."""
     alpha, areas = (0.1, 0.2, 0.15, 0.1, 0.3, 0.25), (60, 60, 70, 70, 80, 80)
     handbook = {n: (s, a, 0.3 * a) for n, s, a in zip("abcdef", areas, alpha, strict=True)}

@@ -1,7 +1,5 @@
 """A patch or material absorbs what was found, in whatever size and on whatever wall it is drawn."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -20,15 +18,13 @@ from tests.test_where_corrected import BANDS, SIZE, candidate, case_in
 @pytest.mark.parametrize("wall_alpha", [0.6, *also(0.05, 0.9)])
 @pytest.mark.parametrize("size", [0.5, 12.0])
 @pytest.mark.parametrize("effect", on_surfaces(library()), ids=lambda effect: effect.name)
-def test_the_corrected_room_has_the_change_that_was_found(
-    form: str, wall_alpha: float, size: float, effect: object
-) -> None:
+def test_the_corrected_room_has_the_change_that_was_found(form, wall_alpha, size, effect):
     """6 m² of opening on a wall of 0.6 added 2.00 in place of 2.40 m²."""
     geometry = Polyhedron.shoebox(SIZE, {wall: f"{wall} wall" for wall in SHOEBOX_WALLS})
     stated = case_in(geometry, alpha=wall_alpha)
-    kinds = [spectrum for _, spectrum in effect.on_surface(np.array(BANDS))]  # type: ignore[arg-type]
+    kinds = [spectrum for _, spectrum in effect.on_surface(np.array(BANDS))]
     for spectrum in (kinds[0], kinds[-1]):
-        found = replace(candidate("east", size), effect=effect.name, spectrum=spectrum)  # type: ignore[attr-defined]
+        found = replace(candidate("east", size), effect=effect.name, spectrum=spectrum)
         made = corrected_geometry(stated, found, form)
         assert made.form == form
         assert made.room.total_area == pytest.approx(stated.room.total_area)

@@ -1,7 +1,5 @@
 """Plain questions of a user who checks answers in his head, asked of commands and of files."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -12,7 +10,6 @@ import rtcal as rt
 from rtcal.datasets import examples
 from rtcal.prediction import words
 from rtcal.support.errors import DataError
-from tests.conftest import Commands
 
 
 def example(name: str, folder: Path) -> Path:
@@ -25,19 +22,17 @@ def example(name: str, folder: Path) -> Path:
 MEANS = "source,receiver,parameter,band,value\n"
 
 
-def test_a_column_that_may_be_the_position_is_asked_for(tmp_path: Path, rtcal: Commands) -> None:
+def test_a_column_that_may_be_the_position_is_asked_for(tmp_path, rtcal):
     path = tmp_path / "t.csv"
     path.write_text("wo;T20 500;T20 1000\nfoyer;1,62;1,41\nbar;1,60;1,40\n")
     said = rtcal.refused("table", path)
     found = re.search(r'--columns "([^"]*)"', said)
-    assert found
     assert found[1] == "from line 2 to 3: ?; T20 at 500 Hz; T20 at 1000 Hz"
     assert "given twice" not in said
     rtcal("table", path, "--columns", found[1].replace("?", "receiver"))
 
 
-def test_bands_of_which_some_are_in_khz_are_refused(tmp_path: Path, rtcal: Commands) -> None:
-    """They were left out as bands that the room lacks, and the others calibrated."""
+def test_bands_of_which_some_are_in_khz_are_refused(tmp_path, rtcal):
     folder = example("room", tmp_path)
     path = folder / "t.csv"
     path.write_text(re.sub(r"T30,(\d)000", r"T30,\1", path.read_text()))
@@ -46,7 +41,7 @@ def test_bands_of_which_some_are_in_khz_are_refused(tmp_path: Path, rtcal: Comma
     rt.Measurement.from_values([4, 8, 16, 31.5, 63], t20=np.ones(5))  # each octave is there
 
 
-def test_a_list_in_the_place_of_the_room_is_named(tmp_path: Path, rtcal: Commands) -> None:
+def test_a_list_in_the_place_of_the_room_is_named(tmp_path, rtcal):
     room, hall = example("room", tmp_path) / "room.toml", example("program", tmp_path) / "hall.geo"
     said = rtcal.refused("export", "catt", hall, room)
     assert said.endswith(f"Exchange the two files: rtcal export catt {room} {hall}")
@@ -68,10 +63,7 @@ area = 40
 """
 
 
-def test_the_directions_of_a_mesh_are_those_of_every_command(
-    tmp_path: Path, rtcal: Commands
-) -> None:
-    """`predict` said that the room does not give the axes, where `calibrate` had them from its mesh."""
+def test_the_directions_of_a_mesh_are_those_of_every_command(tmp_path, rtcal):
     folder = example("where", tmp_path)
     room, change, t = folder / "room.toml", folder / "change.toml", folder / "t.csv"
     change.write_text(CHANGE)
@@ -95,8 +87,7 @@ def test_the_directions_of_a_mesh_are_those_of_every_command(
         assert " ".join(str(made).split()) in said
 
 
-def test_a_change_after_which_the_areas_do_not_fit_the_volume_is_doubted(cr2) -> None:
-    """A volume of ten times was predicted without a word, where the same room as input is a slip."""
+def test_a_change_after_which_the_areas_do_not_fit_the_volume_is_doubted(cr2):
     found = rt.calibrate(*cr2)
     assert not found.predict([rt.prediction.Change(volume=160)]).doubts
     assert not found.predict([]).doubts
@@ -104,8 +95,7 @@ def test_a_change_after_which_the_areas_do_not_fit_the_volume_is_doubted(cr2) ->
     assert [mark.kind for mark in made.doubts] == ["surface_typing_error"]
 
 
-def test_a_response_that_is_given_twice_is_said(tmp_path: Path, rtcal: Commands) -> None:
-    """One recording under four names was a mean over four positions."""
+def test_a_response_that_is_given_twice_is_said(tmp_path, rtcal):
     folder = example("responses", tmp_path)
     one, other = folder / "S1_R1.wav", folder / "S1_R2.wav"
     out = folder / "t.csv"
@@ -119,16 +109,14 @@ def test_a_response_that_is_given_twice_is_said(tmp_path: Path, rtcal: Commands)
     assert twice in rtcal("table", again) + rtcal.warned
 
 
-def test_a_table_that_is_given_twice_is_refused(tmp_path: Path, rtcal: Commands) -> None:
-    """It was read once, without a word."""
+def test_a_table_that_is_given_twice_is_refused(tmp_path, rtcal):
     folder = example("room", tmp_path)
     path = folder / "t.csv"
     said = rtcal.refused("table", path, folder / "." / "t.csv")
     assert "t.csv is given twice: give each table once" in said
 
 
-def test_a_repeated_command_writes_the_same_bytes(tmp_path: Path, rtcal: Commands) -> None:
-    """The solver's time was in result.json."""
+def test_a_repeated_command_writes_the_same_bytes(tmp_path, rtcal):
     folder = example("change", tmp_path)
     room, t = folder / "room.toml", folder / "t.csv"
     commands: dict[str, tuple[object, ...]] = {
@@ -156,8 +144,7 @@ def variants(*own: tuple[str, list[str]]) -> str:
     )
 
 
-def test_air_that_the_room_lacks_is_no_change(cr2, tmp_path: Path, rtcal: Commands) -> None:
-    """All absorption of the air was a change, of a room whose measured T contained it."""
+def test_air_that_the_room_lacks_is_no_change(cr2, tmp_path, rtcal):
     room, measured = cr2
     found, bare = rt.calibrate(*cr2), rt.calibrate(room.with_air(None), measured)
     warm = rt.prediction.Change(air=rt.Air(26, 60))
@@ -176,9 +163,7 @@ def test_air_that_the_room_lacks_is_no_change(cr2, tmp_path: Path, rtcal: Comman
     assert 'variant "air"' in said
 
 
-def test_a_sentence_of_several_variants_is_printed_once_and_the_next_step_last(
-    tmp_path: Path, rtcal: Commands
-) -> None:
+def test_a_sentence_of_several_variants_is_printed_once_and_the_next_step_last(tmp_path, rtcal):
     folder = example("change", tmp_path)
     change = folder / "own.toml"
     some = [(f"{volume} m³", [f"volume = {volume}"]) for volume in (150, 160)]
@@ -189,10 +174,7 @@ def test_a_sentence_of_several_variants_is_printed_once_and_the_next_step_last(
     assert words.GIVEN in said[: said.index("Next")]
 
 
-def test_a_room_calibrated_by_one_equation_has_its_t_by_that_alone(
-    tmp_path: Path, rtcal: Commands
-) -> None:
-    """The calibrated room had 5 % less than the measured T where nothing was changed."""
+def test_a_room_calibrated_by_one_equation_has_its_t_by_that_alone(tmp_path, rtcal):
     folder = example("change", tmp_path)
     change = folder / "own.toml"
     change.write_text(variants(("as it is", [])))
@@ -208,8 +190,7 @@ def test_a_room_calibrated_by_one_equation_has_its_t_by_that_alone(
     rtcal("predict", made, "--change", change)
 
 
-def test_a_design_says_what_its_probability_leaves_out_and_names_no_areas_in_vain(cr2) -> None:
-    """T of 1.40 ± 0.05 s was in a range of ± 1 % with a probability of 1, without a word."""
+def test_a_design_says_what_its_probability_leaves_out_and_names_no_areas_in_vain(cr2):
     found = rt.calibrate(*cr2)
     t = found.reverberation_time_after
     tile = rt.Material("tile", [0.8] * 6, [0.05] * 6)
@@ -225,7 +206,7 @@ def test_a_design_says_what_its_probability_leaves_out_and_names_no_areas_in_vai
     assert "cost" not in str(error.value)
 
 
-def test_an_unbounded_t_is_no_number_and_least_squares_says_what_it_depends_on(cr2) -> None:
+def test_an_unbounded_t_is_no_number_and_least_squares_says_what_it_depends_on(cr2):
     room, measured = cr2
     bare = room.with_air(None)
     with pytest.raises(rt.errors.InfeasibleError, match=r"give T from 0\.\d+ s and longer\."):
@@ -237,7 +218,7 @@ def test_an_unbounded_t_is_no_number_and_least_squares_says_what_it_depends_on(c
         )
 
 
-def test_a_prediction_shows_what_a_pocket_calculator_gives() -> None:
+def test_a_prediction_shows_what_a_pocket_calculator_gives():
     """A1 = A0 + 10 m² of 0.7; T by Sabine is T before times A0 / A1."""
     surfaces = {"floor": 48, "ceiling": 48, "walls": 84}
     room = rt.Room(
@@ -260,8 +241,7 @@ def test_a_prediction_shows_what_a_pocket_calculator_gives() -> None:
     assert "alone / s" not in str(found.predict([]))
 
 
-def test_two_states_of_one_room_with_two_t_are_doubted_before_a_prediction(cr2) -> None:
-    """T before was 2.2 s, where 1.25 s were measured, without a word."""
+def test_two_states_of_one_room_with_two_t_are_doubted_before_a_prediction(cr2):
     room, measured = cr2
     t = rt.calibrate(room, measured).reverberation_time_after
     both = rt.Configurations([room, room], ["first", "second"])
@@ -272,8 +252,7 @@ def test_two_states_of_one_room_with_two_t_are_doubted_before_a_prediction(cr2) 
             assert ("in place of the measured" in str(made)) == doubted
 
 
-def test_a_programs_change_needs_a_change_of_the_room(cr2) -> None:
-    """The program's T after was ignored: nothing changed."""
+def test_a_programs_change_needs_a_change_of_the_room(cr2):
     room, measured = cr2
     found = rt.calibrate(room, measured)
     t = found.reverberation_time_after

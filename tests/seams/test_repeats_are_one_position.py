@@ -1,7 +1,5 @@
 """A law: repeats at one place are one position, however they are named and wherever they enter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -42,7 +40,7 @@ def the_same(a: rt.Measurement, b: rt.Measurement) -> None:
 
 
 @pytest.mark.parametrize("names", NAMES.values(), ids=NAMES)
-def test_by_name(names: list[str]) -> None:
+def test_by_name(names):
     repeated = of_names(names)
     the_same(repeated, once())
     # Five positions would have told more.
@@ -50,7 +48,7 @@ def test_by_name(names: list[str]) -> None:
     assert (alone < 0.6 * repeated.mean_uncertainty("t20")).all()
 
 
-def test_by_option_and_in_a_file(tmp_path) -> None:
+def test_by_option_and_in_a_file(tmp_path):
     names = [f"R{i}" for i in range(1, 6)]
     by_option = of_names(names).with_repeats(receivers=dict.fromkeys(names[1:], "R1"))
     the_same(by_option, once())
@@ -59,7 +57,7 @@ def test_by_option_and_in_a_file(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_in_a_table(named: bool) -> None:
+def test_in_a_table(named):
     rows = [
         ";".join([f"S1R1#{i + 1}" if named and i else "S1R1", *(f"{v:.6f}" for v in row)])
         for i, row in enumerate(SWEEPS)
@@ -98,7 +96,7 @@ def box() -> tuple[rt.Room, rt.simulators.PathTracing]:
     return room, tracer
 
 
-def test_by_position() -> None:
+def test_by_position():
     """Two names at one place are one pair in a case and for every way to calibrate a simulator."""
     room, tracer = box()
     measured = of_names(["R1", "R2", "R3"])
@@ -119,12 +117,12 @@ def test_by_position() -> None:
         assert any("one position: 2 of S1 to R1" in note for note in result.notes)
 
 
-def test_the_repeats_share_what_is_uncertain_at_their_place() -> None:
+def test_the_repeats_share_what_is_uncertain_at_their_place():
     """A stated uncertainty does not fall with the number of sweeps."""
     of_one = 0.03
     stated = of_names(NAMES["numbered"], uncertainty={"t20": np.full((5, 3), of_one)})
     np.testing.assert_allclose(stated.mean_uncertainty("t20"), of_one)
 
 
-def test_seats_with_numbers_stay_positions() -> None:
+def test_seats_with_numbers_stay_positions():
     assert len(of_names(["Seat #1", "Seat #2", "Seat #3"]).pairs) == 3

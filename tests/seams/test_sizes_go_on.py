@@ -1,7 +1,5 @@
 """A size is sought until the evidence falls or physics ends, and a doubt about it leaves the family."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -49,7 +47,7 @@ def case_of(effect: Effect, theta: dict[str, float]) -> Case:
 
 
 @pytest.mark.parametrize(("effect", "theta"), FAR, ids=[effect.name for effect, _ in FAR])
-def test_a_size_beyond_the_grid_is_found(effect: Effect, theta: dict[str, float]) -> None:
+def test_a_size_beyond_the_grid_is_found(effect, theta):
     case = case_of(effect, theta)
     sizes = [t[effect.size] for t in checked_grid(effect, state(case, case.configurations[0]))]
     true = theta[effect.size]
@@ -62,7 +60,6 @@ def test_a_size_beyond_the_grid_is_found(effect: Effect, theta: dict[str, float]
         assert finding.verdict in ("named", "family"), finding.reasons
     assert finding.best_effect == effect.name
     size = finding.size
-    assert size is not None
     assert not min(sizes) <= size.mean <= max(sizes)
     if size.end:  # the data bound it on one side only
         assert size.low < true if size.end == "least" else true < size.high
@@ -73,8 +70,7 @@ def test_a_size_beyond_the_grid_is_found(effect: Effect, theta: dict[str, float]
 
 
 @pytest.mark.parametrize("area", [0.04, 3.0, 5.0 * LEAST * RATIO**20, 1000.0])
-def test_areas_on_a_surface_go_on_to_its_own(area: float) -> None:
-    """They ended at 1.4 times the room's absorption area, here 7 m²."""
+def test_areas_on_a_surface_go_on_to_its_own(area):
     tried = areas_tried(5.0, area)
     assert (len(tried) == 0) == (area < 5.0 * LEAST)
     assert all(area / RATIO * (1 - 1e-12) < last <= area for last in tried[-1:])

@@ -1,7 +1,5 @@
 """A law: what was measured and not fitted is shown before and after, and named when it leaves."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -62,7 +60,7 @@ def calibrated(cost: float, more: Mapping[str, float | np.ndarray]) -> Loop:
 
 
 @pytest.mark.parametrize("cost", [0.0, 30.0])
-def test_a_parameter_that_leaves_is_named(cost: float) -> None:
+def test_a_parameter_that_leaves_is_named(cost):
     met_before = calibrated(cost, {}).before.mean("c80")
     result = calibrated(cost, {"c80": met_before})
     before, after = result.gaps_beside["c80"]
@@ -101,7 +99,7 @@ def by_hand(rtcal: Commands, folder: Path, cost: float) -> tuple[Loop, str, str]
 
 
 @pytest.mark.parametrize("cost", [30.0, *also(0.0)])
-def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path, rtcal: Commands) -> None:
+def test_a_loop_by_hand_shows_it_too(cost, tmp_path, rtcal):
     loop, printed, html = by_hand(rtcal, tmp_path, cost)
     assert set(loop.beside) == {"edt", "c80"}
     before, after = loop.gaps_beside["c80"]
@@ -113,7 +111,7 @@ def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path, rtcal: Command
 
 
 @pytest.mark.parametrize("cost", [300.0, *also(0.0)])
-def test_every_position_shows_it_too(cost: float) -> None:
+def test_every_position_shows_it_too(cost):
     room, _ = rt.datasets.bras_cr2()
     simulator = AtPositions(room, cost)
     first = simulator.simulate(room.alpha)

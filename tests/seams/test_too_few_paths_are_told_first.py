@@ -1,7 +1,5 @@
 """A law: too few paths are told before the reference simulations, and that more paths would help."""
 
-from __future__ import annotations
-
 import warnings
 
 import pytest
@@ -20,7 +18,7 @@ def tracer(n_paths: int) -> rt.simulators.PathTracing:
 
 
 @pytest.fixture
-def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
+def measured(monkeypatch):
     """Return what was measured; reference simulations are not to begin."""
 
     def begun(*_: object, **__: object) -> None:
@@ -31,14 +29,14 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
     return heard
 
 
-def test_in_python(measured: rt.Measurement) -> None:
+def test_in_python(measured):
     with pytest.raises(DataError, match=r"paths per source are too few\. Take a larger n_paths"):
         rt.calibrate_positions(tracer(16), HALL.room, measured, match=("t20", "edt"), more_paths=1)
     with pytest.raises(AssertionError, match="have begun"):  # enough paths come to them
         rt.calibrate_positions(tracer(160), HALL.room, measured, match=("t20", "edt"))
 
 
-def test_a_noise_that_hides_what_is_matched_is_said(measured: rt.Measurement) -> None:
+def test_a_noise_that_hides_what_is_matched_is_said(measured):
     """Decays of 100 paths hold every parameter here, with a noise of nearly a JND."""
     said = r"100 paths .* are too few: T20 .* noise of (0\.[5-9]\d*|1\.\d) JND.* Use (\d+)00"
     with pytest.warns(FewPathsWarning, match=said) as told, pytest.raises(AssertionError):
@@ -49,7 +47,7 @@ def test_a_noise_that_hides_what_is_matched_is_said(measured: rt.Measurement) ->
         rt.calibrate_positions(tracer(2 * enough), HALL.room, measured, match=("t20",))
 
 
-def test_commands_say_it_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_say_it_once(capsys):
     """A diagnosis fits several models, each of which warns; other warnings are all printed."""
     show = shown_warnings()
     for message in (FewPathsWarning("few: 100"), UserWarning("other"), FewPathsWarning("few: 120")):

@@ -5,8 +5,6 @@ Its model knows of none. The tracer of `benchmarks/studies/hidden_world` measure
 the model has it; `tests/seams/turned_panels.py` in commit 995d6858 drew it, from one seed.
 """
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -29,9 +27,7 @@ FEW = ("covered surface", "opening", "porous", "area", "volume", "unknown")
 
 @pytest.mark.long
 @pytest.mark.parametrize(("again", "drawn"), [(True, True), (False, False), (True, False)])
-def test_turned_panels_are_named_added_and_verified(
-    again: bool, drawn: bool, tmp_path: Path, kept: Path
-) -> None:
+def test_turned_panels_are_named_added_and_verified(again, drawn, tmp_path, kept):
     """With reference rooms that are simulated, or, in less time, drawn."""
     case = Case.from_dict(json.loads(Path(__file__).with_name("turned_panels.json").read_text()))
     if not again:
@@ -41,7 +37,6 @@ def test_turned_panels_are_named_added_and_verified(
     assert (finding.verdict, finding.effect) == ("named", "covered surface")
     assert title(finding) == 'covered surface of "panels"'
     size = finding.size
-    assert size is not None
     assert size.low < TURNED < size.high <= 1
     assert "of its area covered" in str(finding)
 

@@ -1,11 +1,7 @@
 """A doubt about T leads at positions too, and surfaces are listed where something stands on one."""
 
-from __future__ import annotations
-
 import sys
 from types import SimpleNamespace
-
-import pytest
 
 import rtcal as rt
 from rtcal.finder.claim import LEADING, Reason
@@ -13,7 +9,7 @@ from rtcal.report.finding_words import headline
 from tests.test_where_page import finding_of
 
 
-def test_the_doubt_of_means_about_what_is_stated_leads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doubt_of_means_about_what_is_stated_leads(monkeypatch):
     doubt, finding = Reason(LEADING, {"factor": 0.3}), finding_of({"wall 5": 1.0})
     search = sys.modules["rtcal.finder.positions.search"]
     monkeypatch.setattr(search, "evidence_of_means", lambda *_: SimpleNamespace(mistake=doubt))

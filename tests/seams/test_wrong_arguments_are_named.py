@@ -1,7 +1,5 @@
 """A law: a constructor names an argument of another kind, and no function takes it in silence."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from tests.conftest import in_hall
     ],
     ids=str,
 )
-def test_of_a_loop(wrong: dict[str, object]) -> None:
+def test_of_a_loop(wrong):
     room, measured = rt.datasets.bras_cr2()
     with pytest.raises(RtcalError, match=next(iter(wrong))):
         start(room, measured, **wrong)
@@ -31,18 +29,18 @@ ARRAYS = (np.ones(3), np.array([]), np.array(["a", "b"]))
 
 @pytest.mark.parametrize("array", ARRAYS, ids=str)
 @pytest.mark.parametrize("option", ["solver", "unreachable", "warm_start", "settings"])
-def test_an_array_in_place_of_an_option(option: str, array: np.ndarray) -> None:
+def test_an_array_in_place_of_an_option(option, array):
     with pytest.raises(RtcalError, match=option):
         rt.calibrate(*rt.datasets.bras_cr2(), **{option: array})
 
 
-def test_arguments_of_a_program() -> None:
+def test_arguments_of_a_program():
     room, _ = rt.datasets.bras_cr2()
     with pytest.raises(RtcalError, match="arguments has"):
         rt.simulators.command(np.ones((2, 2)), room)
 
 
-def test_a_flag_of_a_tracer() -> None:
+def test_a_flag_of_a_tracer():
     hall = rt.datasets.halls.corridor()
     tracer = in_hall(hall, n_paths=160)
     tracer.observe(hall.room.alpha, ("edt",))
@@ -65,8 +63,7 @@ CHANGES = (
     [(stated, field) for stated in CHANGES for field in stated],
     ids=lambda x: x if isinstance(x, str) else next(iter(x)),
 )
-def test_a_field_of_a_change(stated, field: str) -> None:
-    """It was a TypeError where the change was applied, or printed."""
+def test_a_field_of_a_change(stated, field):
     for wrong in (np.array([1, 2]), (x for x in [2]), True, [2.0]):
         with pytest.raises(RtcalError, match=f"^change: {field} = "):
             rt.prediction.Change(**stated | {field: wrong})
