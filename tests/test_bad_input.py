@@ -10,10 +10,12 @@ import pytest
 import soundfile as sf
 
 import rtcal as rt
+from rtcal.acoustics.changes import new_name
 from rtcal.command import main as cli
+from rtcal.loop import start
 from rtcal.simulators.base import check_alpha
-from rtcal.support.errors import DataError, InfeasibleError, ModelError
-from tests.conftest import also
+from rtcal.support.errors import DataError, InfeasibleError, ModelError, RtcalError
+from tests.conftest import also, in_hall
 
 GOOD = {
     "name": "r",
@@ -305,3 +307,95 @@ def test_terms_that_set_contradicting_bounds_are_named():
 def test_closed_forms_refuse_what_they_cannot_meet(form, arguments, place):
     with pytest.raises(DataError, match=place):
         getattr(rt.exact, form)(*arguments)
+
+
+# A law: names that the eye does not tell apart are refused, of materials, sources and receivers
+
+LOOKS = {
+    "upper case": "wall1",
+    "a blank after it": "Wall1 ",
+    "a blank within it": "Wall 1",
+    "a full width": "\uff37all1",
+    "no width": "Wall\u200b1",
+    "a blank without a break": "Wall\u00a01",
+}
+
+
+@pytest.mark.parametrize("name", LOOKS.values(), ids=LOOKS)
+class TestBeside:
+    def test_a_material(self, name):
+        with pytest.raises(DataError, match=r"materials has .* differ only in"):
+            rt.Room(name="box", volume=60, materials=["Wall1", name], areas=[20, 74],
+                    alpha=[[0.4], [0.6]], sigma=[[0.1], [0.1]], centre_frequencies=[1000])  # fmt: skip
+
+    @pytest.mark.parametrize("kind", ["source", "receiver"])
+    def test_a_place(self, kind, name):
+        pairs = [("Wall1", "R"), (name, "R")] if kind == "source" else [("S", "Wall1"), ("S", name)]
+        with pytest.raises(DataError, match=rf"pairs has the {kind} .* differ only in"):
+            rt.Measurement(centre_frequencies=[500], values={"t20": np.ones((2, 1))}, pairs=pairs)
+
+    def test_a_new_name(self, name):
+        assert new_name([name], "Wall1") == "Wall1 (2)"
+
+
+# A law: a constructor names an argument of another kind, and no function takes it in silence
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"method": np.ones(3)},
+        {"rule": np.ones(3)},
+        {"tolerance": [None]},
+    ],
+    ids=str,
+)
+def test_of_a_loop(wrong):
+    room, measured = rt.datasets.bras_cr2()
+    with pytest.raises(RtcalError, match=next(iter(wrong))):
+        start(room, measured, **wrong)
+
+
+ARRAYS = (np.ones(3), np.array([]), np.array(["a", "b"]))
+
+
+@pytest.mark.parametrize("array", ARRAYS, ids=str)
+@pytest.mark.parametrize("option", ["solver", "unreachable", "warm_start", "settings"])
+def test_an_array_in_place_of_an_option(option, array):
+    with pytest.raises(RtcalError, match=option):
+        rt.calibrate(*rt.datasets.bras_cr2(), **{option: array})
+
+
+def test_arguments_of_a_program():
+    room, _ = rt.datasets.bras_cr2()
+    with pytest.raises(RtcalError, match="arguments has"):
+        rt.simulators.command(np.ones((2, 2)), room)
+
+
+def test_a_flag_of_a_tracer():
+    hall = rt.datasets.halls.corridor()
+    tracer = in_hall(hall, n_paths=160)
+    tracer.observe(hall.room.alpha, ("edt",))
+    with pytest.raises(RtcalError, match="again"):
+        tracer.observe(hall.room.alpha, ("edt",), again=np.ones(3))
+
+
+CHANGES = (
+    {"open": "ceiling", "area": 2},
+    {"cover": "ceiling", "by": "floor", "area": 2},
+    {"add": "floor", "area": 2},
+    {"remove": "floor", "area": 2},
+    {"volume": 180},
+    {"air": rt.Air()},
+)
+
+
+@pytest.mark.parametrize(
+    ("stated", "field"),
+    [(stated, field) for stated in CHANGES for field in stated],
+    ids=lambda x: x if isinstance(x, str) else next(iter(x)),
+)
+def test_a_field_of_a_change(stated, field):
+    for wrong in (np.array([1, 2]), (x for x in [2]), True, [2.0]):
+        with pytest.raises(RtcalError, match=f"^change: {field} = "):
+            rt.prediction.Change(**stated | {field: wrong})

@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from rtcal.support import speed
+from rtcal.support import speed, text
+from rtcal.support.blocks import Row, Table, notebook
 from tests.conftest import run
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -46,3 +47,45 @@ def test_a_long_task_says_how_far_it_is_without_a_terminal(monkeypatch):
     time.sleep(0.1)
     assert shown.n == 2
     assert lines == []
+
+
+# Printed text and notebook tables: widths, wrapping, control characters, escapes
+
+
+@pytest.fixture(autouse=True)
+def no_terminal(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+
+
+@pytest.mark.parametrize(("columns", "expected"), [("20", 40), ("60", 60), ("120", 120)])
+def test_a_line_has_the_terminals_width_and_at_least_40(monkeypatch, columns, expected):
+    monkeypatch.setenv("COLUMNS", columns)
+    assert text.width() == expected
+    rows = [(f"row {i}", [f"{i}.{j:04d}" for j in range(40)]) for i in range(3)]
+    lines = text.table(rows, header=("", [f"{j} Hz" for j in range(40)]))
+    assert max(map(len, lines)) <= expected
+    cells = " ".join(lines).split()
+    assert all(f"{i}.{j:04d}" in cells for i in range(3) for j in range(40))
+
+
+def test_sentences_are_wrapped_but_no_path_is_broken():
+    path = "/a" * 60
+    lines = text.wrapped(f"the room is written to {path} as it is", indent="  ")
+    assert path in [line.strip() for line in lines]
+    assert [line for line in lines if len(line) > 80] == ["    " + path]
+
+
+def test_no_terminal_obeys_what_is_printed():
+    hostile = "wall\x1b[2J\x07\x9b1m\u202e\ud800\tend\n"
+    assert text.printable(hostile) == "wall\\x1b[2J\\x07\\x9b1m\\u202e\\ud800\tend\n"
+    assert text.printable("Wände: 0,05 m² – 4 €") == "Wände: 0,05 m² – 4 €"
+
+
+def test_an_html_table_escapes_and_shades():
+    table = Table(["125"], [Row("a & b", ["<3"], shade=[-2.0])], note="x < y")
+    page = notebook("<T>", [table])
+    assert "&lt;T&gt;" in page
+    assert "a &amp; b" in page
+    assert "rgba(0, 114, 178, 0.45)" in page
+    assert "&lt;3" in page
+    assert "<p>x &lt; y</p>" in page

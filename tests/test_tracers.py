@@ -7,12 +7,11 @@ import pytest
 
 from rtcal.acoustics.air import Air
 from rtcal.datasets import halls
-from rtcal.simulators import base
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators import PathTracing, Polyhedron, base
 from rtcal.simulators.path_tracing import measurement
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.support.errors import DataError, MissingDependencyError, TooShortError
-from tests.conftest import in_hall
+from tests.conftest import in_geometry, in_hall
 
 pytest.importorskip("pyroomacoustics")
 
@@ -152,3 +151,29 @@ def test_without_pyroomacoustics_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyroomacoustics", None)
     with pytest.raises(MissingDependencyError, match=r"rtcal\[geometry\]"):
         ray_tracer()
+
+
+# Whatever is asked of groups of paths and of derivatives holds wherever what they are of holds
+
+WALLS = ("west", "east", "south", "north", "floor", "ceiling")
+MATCH = ("t20", "edt", "c80", "ts", "level")
+
+
+def box(alpha: float, n_paths: int) -> PathTracing:
+    geometry = Polyhedron.shoebox((5, 7, 3), {wall: wall for wall in WALLS})
+    room = in_geometry(geometry, [1000], alpha)
+    return PathTracing(
+        geometry=geometry,
+        room=room,
+        sources={"S": (1.2, 1.0, 1.5)},
+        receivers={"R1": (3.5, 5.2, 1.2), "R2": (3.4, 2.4, 1.3)},
+        scattering=0.4,
+        n_paths=n_paths,
+    )
+
+
+@pytest.mark.parametrize(("n_paths", "number", "seed"), [(400, 4, 1), (1600, 8, 0)])
+def test_groups_of_paths_are_followed_for_as_long_as_they_need(n_paths, number, seed):
+    tracer = box(0.6, n_paths)
+    groups = tracer.observe_in_groups(tracer.room.alpha, number, MATCH, seed=seed)
+    assert np.isfinite(groups).all()

@@ -3,11 +3,17 @@
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy import stats
 
 import rtcal as rt
+from rtcal.acoustics.marks import agreement
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.unknowns import Configurations
+from rtcal.finder import Case, Configuration
+from rtcal.finder.evidence import directions
+from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError
+from tests import conftest
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
 BANDS = (250, 500, 1000, 2000)
@@ -209,3 +215,69 @@ def test_a_common_factor_alone_has_an_interval():
 def test_a_statement_that_is_none_is_refused(stated, message):
     with pytest.raises(DataError, match=message):
         room_of(0, **{"air": rt.Air(), **stated})
+
+
+# A room's statement of its volume and areas is one statement, wherever the room goes
+
+STATED_STATEMENT = {"volume_sigma": 0.08, "area_sigma": 0.05}
+
+
+@pytest.fixture(scope="module")
+def room():
+    return rt.datasets.bras_cr2()[0].replace(surfaces=())
+
+
+def measured(room: rt.Room) -> rt.Measurement:
+    t = 1.15 * rt.Eyring().reverberation_time(room)
+    return rt.Measurement.from_values(room.centre_frequencies, t20=t)
+
+
+def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room):
+    """The simulator is brought to T all the same, so the room's share must not drift into alpha."""
+    loops = []
+    for each in (room, room.replace(**STATED_STATEMENT)):
+        simulator = of_equation(rt.Kuttruff(), each)
+        loops.append(rt.calibrate_simulator(simulator, each, measured(each)))
+    np.testing.assert_allclose(loops[1].room.alpha, loops[0].room.alpha, rtol=0, atol=1e-12)
+    assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
+
+
+def test_an_archive_counts_it(room):
+    shapes = {"A": [1, 1, 1, 1, 1], "B": [1, 2, 1, 0.5, 1], "C": [2, 1, 1, 1, 0.5]}
+    exact = [room.replace(name=n, areas=room.areas * np.array(s)) for n, s in shapes.items()]
+    sure, unsure = (
+        rt.learn([rt.calibrate(r.replace(**stated), measured(r)) for r in exact])
+        for stated in ({}, {"volume_sigma": 0.3})
+    )
+    assert unsure.mean_sigma.mean() > 1.05 * sure.mean_sigma.mean()
+    shift = [np.abs(a.alpha - a.table).mean() for a in (sure, unsure)]
+    assert shift[1] < shift[0]
+
+
+# Calibrate and find state once what coefficients are off by, alone and together
+
+
+def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes():
+    room, measured = rt.datasets.bras_cr2()
+    result = rt.calibrate(room, measured)
+    case = Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
+    errors = directions(case)
+    together = np.einsum("m,dmb->db", room.areas, errors[0])
+    covariance = np.diag((room.areas[:, None] * room.sigma).T @ (room.areas[:, None] * room.sigma))
+    deviation, stated = result.joint.innovation
+    assert (np.diag(stated) >= covariance).all()  # and the uncertainty of T
+    q = deviation @ np.linalg.solve(stated + together.T @ together, deviation)
+    found = result.plausibility
+    assert found.p_together == pytest.approx(stats.chi2.sf(q, room.n_bands), rel=1e-9)
+    assert found.p_together > 100 * found.p_value
+
+
+def test_what_errors_in_common_explain_is_no_contradiction():
+    """Every coefficient is 20 % too small: improbable one by one, and usual of a handbook."""
+    alpha, areas = (0.1, 0.2, 0.15, 0.1, 0.3, 0.25), (60, 60, 70, 70, 80, 80)
+    handbook = {n: (s, a, 0.3 * a) for n, s, a in zip("abcdef", areas, alpha, strict=True)}
+    room = conftest.room_of(handbook, 125 * 2.0 ** np.arange(6), 500, air=rt.Air())
+    times = rt.Eyring().time(room, 1.25 * room.absorption_area)
+    found = rt.calibrate(room, times).plausibility
+    assert agreement(found.p_value) == "contradicts"
+    assert agreement(found.p_value, found.p_together) == "agrees"

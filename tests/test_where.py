@@ -2,20 +2,23 @@
 
 import functools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 import rtcal as rt
 from rtcal.finder.claim import Detection
-from rtcal.finder.effects import library
-from rtcal.finder.positions.search import THRESHOLD, find_by_positions
-from rtcal.finder.positions.surfaces import patched
+from rtcal.finder.effects import Absorber, Parameters, library
+from rtcal.finder.positions.search import THRESHOLD, find_by_positions, of_means
+from rtcal.finder.positions.surfaces import merged, of_geometry, patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
+from rtcal.support.types import Array
 from tests.conftest import in_geometry, room_of
+from tests.test_where_corrected import L_PLAN, prism, triangulated
 
 BANDS = (500.0, 1000.0, 2000.0)
 SIZE = (7.0, 5.0, 3.0)
@@ -235,3 +238,74 @@ def test_the_next_position_is_free_and_informative(of_openings):
     assert (finding.case.geometry.wall_distance(points) > 0.69).all()
     with pytest.raises(DataError, match="number = 0"):
         rt.finder.positions.next_position(finding, number=0)
+
+
+# An effect of a user's own is one class, and both observation models find it where it may stand
+
+
+@dataclass(frozen=True)
+class Hatch(Absorber):
+    """The hidden opening, under a name that rtcal does not have."""
+
+    name: ClassVar[str] = "hatch"
+    family: ClassVar[str] = "added absorption, hatches"
+    stands_on: ClassVar[Sequence[str]] = ("wall",)
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        return np.full(len(frequencies), 0.98)
+
+
+OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
+
+
+@pytest.fixture(scope="module")
+def case():
+    return rt.finder.PositionsCase(
+        simulator=tracing(stated(), n_paths=800), measured=measured(True)
+    )
+
+
+@pytest.mark.long
+def test_it_is_found_on_the_wall_where_it_stands(case, kept):
+    finding = rt.find(case, effects=OWN, cache=kept)
+    hatches = [c for c in finding.candidates if c.effect == "hatch"]
+    assert hatches[0].surface == "east"
+    assert hatches[0].low < 6.0 < hatches[0].high
+    assert {c.surface for c in hatches} == {"east", "west", "north", "south"}
+    assert finding.probabilities["hatch"] > 0.05
+    assert "opening" not in finding.probabilities
+    verified = rt.finder.verify(finding, cache=kept)
+    assert verified.after < 0.9 * verified.before
+
+
+@pytest.mark.long
+def test_it_is_found_by_means_over_positions(case):
+    finding = rt.find(of_means(case), effects=OWN)
+    assert finding.families["added absorption, hatches"] > 0.05
+
+
+# A pair that is left out is as one that was not measured; what is taken together is said
+
+
+def test_a_pair_left_out_is_as_one_that_is_not_there():
+    """T20 alone refused ``exclude``."""
+    room, heard = stated(), measured(False)
+    out = [pair for pair in heard.pairs if pair[1] == "R3"]
+    some = {name: place for name, place in RECEIVERS.items() if name != "R3"}
+    left_out = rt.calibrate_simulator(tracing(room, n_paths=800), room, heard, exclude=out)
+    absent = rt.calibrate_simulator(
+        tracing(room, n_paths=800, receivers=some),
+        room,
+        heard.select([pair for pair in heard.pairs if pair not in out]),
+    )
+    np.testing.assert_allclose(left_out.room.alpha, absent.room.alpha, rtol=1e-9)
+    assert "Left out, as asked for: S1 to R3, S2 to R3." in left_out.notes
+
+
+def test_faces_of_other_names_on_one_surface_are_said():
+    mesh = triangulated(prism(L_PLAN))
+    assert merged(mesh, of_geometry(mesh)) == ""
+    part = mesh.names.index("wall 1 2")
+    names = ["panel" if i == part else name for i, name in enumerate(mesh.names)]
+    panelled = replace(mesh, names=names)
+    assert "panel as part of wall 1" in merged(panelled, of_geometry(panelled))

@@ -1,6 +1,7 @@
 """The corrected geometry: the patch on its surface, what simulators hear in it, what programs read."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,10 @@ import rtcal as rt
 from rtcal.finder import PositionsCase
 from rtcal.finder.apply import corrected_geometry
 from rtcal.finder.claim import Candidate
+from rtcal.finder.effects import library
+from rtcal.finder.positions.problem import on_surfaces
 from rtcal.finder.positions.surfaces import patched
+from rtcal.io import catt, geometry_files, obj, odeon, pyroomacoustics
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
@@ -153,3 +157,73 @@ def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box):
 def test_a_wrong_place_is_refused(box, options, message):
     with pytest.raises(DataError, match=re.escape(message)):
         corrected_geometry(box, candidate("east", 6.0), **options)
+
+
+# A patch or material absorbs what was found, in whatever size and on whatever wall it is drawn
+
+
+@pytest.mark.parametrize("form", ["patch", "material"])
+@pytest.mark.parametrize("wall_alpha", [0.6, *also(0.05, 0.9)])
+@pytest.mark.parametrize("size", [0.5, 12.0])
+@pytest.mark.parametrize("effect", on_surfaces(library()), ids=lambda effect: effect.name)
+def test_the_corrected_room_has_the_change_that_was_found(form, wall_alpha, size, effect):
+    """6 m² of opening on a wall of 0.6 added 2.00 in place of 2.40 m²."""
+    geometry = Polyhedron.shoebox(SIZE, {wall: f"{wall} wall" for wall in SHOEBOX_WALLS})
+    stated = case_in(geometry, alpha=wall_alpha)
+    kinds = [spectrum for _, spectrum in effect.on_surface(np.array(BANDS))]
+    for spectrum in (kinds[0], kinds[-1]):
+        found = replace(candidate("east", size), effect=effect.name, spectrum=spectrum)
+        made = corrected_geometry(stated, found, form)
+        assert made.form == form
+        assert made.room.total_area == pytest.approx(stated.room.total_area)
+        assert np.array_equal(made.simulator().scattering, made.room.scattering)
+        added = made.room.absorption_area - stated.room.absorption_area
+        assert added == pytest.approx(size * (spectrum - wall_alpha), rel=1e-6)
+        in_geometry = made.room.alpha.T @ [
+            geometry_area(made.geometry, m) for m in made.room.materials
+        ]
+        of_stated = stated.room.alpha.T @ [geometry.areas[m] for m in stated.room.materials]
+        assert in_geometry - of_stated == pytest.approx(added, rel=1e-6)
+
+
+def geometry_area(geometry: Polyhedron, material: str) -> float:
+    return geometry.areas.get(material, 0.0)
+
+
+# A law: what a corrected room's folder holds absorbs what the corrected room does, in every file
+
+SHAPES = {"L": prism(L_PLAN), "triangles": triangulated(prism(L_PLAN))}
+ROUNDED = 0.0005
+"""Half of the last decimal of the coefficients in the lists."""
+
+
+@pytest.mark.parametrize("form", ["patch", "material"])
+@pytest.mark.parametrize("wall_alpha", [0.05, 0.6])
+@pytest.mark.parametrize("surface", ["floor", "wall 5"])
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_file_has_the_patch(shape, surface, wall_alpha, form, tmp_path):
+    case = case_in(SHAPES[shape], alpha=wall_alpha)
+    made = corrected_geometry(case, candidate(surface, 4.0), form)
+    made.save(tmp_path)
+    room = rt.Room.from_file(str(tmp_path / "room.toml"))
+    mesh = obj.read(tmp_path / "room.obj")
+    assert isinstance(mesh, Polyhedron)
+    for name in ("alpha", "sigma", "areas", "scattering"):
+        stated, read = getattr(made.room, name), getattr(room, name)
+        np.testing.assert_allclose(read, stated, rtol=1e-9)
+    assert made.material in room.materials
+    places = (room.scene.sources, room.scene.receivers)
+    assert places == (dict(case.simulator.sources), dict(case.simulator.receivers))
+    assert geometry_files.read(room).areas == mesh.areas
+    sizes = np.array([mesh.areas[m] for m in room.materials])
+    np.testing.assert_allclose(sizes, [made.geometry.areas[m] for m in room.materials], rtol=1e-6)
+    absorbed = made.room.absorption_area
+    np.testing.assert_allclose(sizes @ room.alpha, absorbed, rtol=1e-6)
+    lists = {"catt.txt": catt, "odeon.txt": odeon, "pyroomacoustics.json": pyroomacoustics}
+    for file, program in lists.items():
+        listed = program.read(tmp_path / file).materials
+        columns = [list(listed[0].centre_frequencies).index(f) for f in BANDS]
+        alpha = np.array([np.asarray(m.alpha)[columns] for m in listed])
+        np.testing.assert_allclose(sizes @ alpha, absorbed, atol=1.01 * ROUNDED * sizes.sum())
+        for read, stated in zip(listed, room.materials, strict=True):
+            assert read.name.endswith(stated)  # ODEON's names begin with a number
