@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks.studies.archives import archive as study
 from rtcal.calibration import archive as model
 from rtcal.calibration.archive import Evidence, RoomData, Spread
 from rtcal.support.errors import DataError
@@ -93,26 +92,6 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra():
     np.testing.assert_allclose(off, expected[0], rtol=1e-9)
     np.testing.assert_allclose(variance, SPREAD.together**2 - expected[1], rtol=1e-9)
     assert abs(off) > 1e-3
-
-
-@pytest.mark.long
-def test_a_twenty_first_room_is_known_better_than_by_the_table():
-    row = study.judge(3)
-    assert row["archive"] < 0.8 * row["table"]
-    assert row["archive, calibrated"] < row["table, calibrated"]
-    assert 0.7 < row["coverage"] <= 1
-    assert row["false suspects"] == 0
-
-
-@pytest.mark.long
-def test_a_material_that_is_another_is_named():
-    """In a room where the wrong name changes the absorption by half."""
-    row = study.misnamed(1014)
-    assert row["change of absorption"] > 0.3
-    assert row["found"]
-    assert row["its name"]
-    assert row["room has the least p"]
-    assert row["false suspects"] == 0
 
 
 @pytest.fixture(scope="module")

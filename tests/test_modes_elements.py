@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import rtcal as rt
 from rtcal.modes import modes_of
 from rtcal.modes.room_modes import box_modes, fill
 from rtcal.simulators.geometry import Polyhedron
@@ -99,37 +98,3 @@ def test_the_l_shape_of_the_literature():
 def test_too_many_planes():
     with pytest.raises(ModelError, match="small objects"):
         fill(Polyhedron.shoebox((50, 50, 50), "plaster"), 0.5)
-
-
-@pytest.mark.long
-def test_which_wall_absorbs_in_a_slanted_room(tmp_path):
-    """Modes of the true room: unlike a box's, opposite walls are told apart."""
-    geometry = slanted()
-    geometry.save(tmp_path / "room.obj")
-    room = rt.Room.from_geometry(
-        geometry,
-        name="slanted",
-        centre_frequencies=[63, 125, 250],
-        materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in geometry.names],
-        air=rt.Air(20, 50),
-    )
-    scene = rt.Scene(mesh=str(tmp_path / "room.obj"))
-    room = room.replace(scene=scene)
-    truth = np.array([0.05, 0.25, 0.08, 0.3, 0.1, 0.06])
-    modes = modes_of(geometry, 110, room.air.speed_of_sound)
-    poles = modes.poles(lambda f: rt.modes.admittance(truth))
-    order = np.argsort(poles.frequencies)
-    heard = rt.modes.MeasuredModes(
-        frequencies=poles.frequencies[order],
-        decays=poles.decays[order],
-        decay_uncertainty=0.03 * poles.decays[order],
-    )
-    t = rt.Eyring().time(room, room.areas @ np.repeat(truth[:, np.newaxis], 3, axis=1))
-    result = rt.calibrate_modes(room, heard, t)
-    assert len(result.used) >= 8
-    ceiling, high, low = (room.material_index(m) for m in ("ceiling", "high", "low"))
-    assert result.alpha[high, 0] > result.alpha[low, 0] + 0.03
-    assert result.alpha[ceiling, 0] > 0.13
-    by_t = rt.calibrate(room, t)
-    error = [np.abs(a[:, 0] - truth).mean() for a in (result.alpha, by_t.alpha)]
-    assert error[0] < 0.8 * error[1]

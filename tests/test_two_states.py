@@ -82,21 +82,6 @@ def test_t_that_is_missed_is_never_supported(panels):
 
 
 @pytest.mark.long
-def test_each_half_of_the_pairs_predicts_the_other(panels, many):
-    verification = rt.finder.verify(many)
-    assert verification.verdict == "supported"
-    assert verification.after < 0.5 * verification.before
-    assert verification.gaps.shape == (2, 1, 1, 6, 6)
-    case = panels.case
-    few = rt.find(case.room, case.after.select(case.after.pairs[:2]), before=case.before)
-    with pytest.raises(rt.errors.DataError, match="a verification needs at least 4"):
-        rt.finder.verify(few)
-    same = rt.find(case.room, measured(times(), 9), before=case.before)
-    with pytest.raises(rt.errors.DataError, match="no change was found that can be verified"):
-        rt.finder.verify(same)
-
-
-@pytest.mark.long
 def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many):
     case = many.case
     some = case.before.pairs[:4]

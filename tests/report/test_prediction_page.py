@@ -1,7 +1,5 @@
 """The page of predictions and designs: what it must say, and that it needs nothing else."""
 
-import re
-
 import numpy as np
 import pytest
 
@@ -53,18 +51,6 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed):
     )
     assert "Cost by probability, side by side" in html
     assert html == pages.page_of(folder)
-
-
-@pytest.mark.long
-def test_a_designs_page_compares_designs_of_other_probabilities(designed):
-    found, _, html = designed
-    html = re.sub(' data-of="[^"]*"', "", html)
-    costs = list(found.frontier.values())
-    assert costs == sorted(costs)
-    assert "0.85 (this design)" in html
-    for design in found.alternatives.values():
-        if design is not None:
-            assert f"<td>{design.areas[0]:.1f}</td><td>{design.cost:.0f}</td>" in html
 
 
 def test_the_interval_is_drawn_where_it_is(result):

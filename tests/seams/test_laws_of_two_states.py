@@ -122,17 +122,6 @@ def test_the_same_state_twice_is_no_change():
 
 
 @pytest.mark.long
-def test_twice_the_change_is_a_larger_one():
-    sizes = [
-        rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).size.mean
-        for n in (3, 6, 12, 24)
-    ]
-    assert sizes == sorted(sizes)
-    ratios = np.divide(sizes[1:], sizes[:-1])
-    assert ((ratios > 1.5) & (ratios < 2.5)).all()
-
-
-@pytest.mark.long
 def test_the_order_of_pairs_and_of_effects_changes_nothing():
     before, after = measured(times(), 1), measured(times(8), 2)
     there = rt.find(room(), after, before=before)
