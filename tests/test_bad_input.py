@@ -342,13 +342,7 @@ class TestBeside:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"method": np.ones(3)},
-        {"rule": np.ones(3)},
-        {"tolerance": [None]},
-    ],
-    ids=str,
+    "wrong", [{"method": np.ones(3)}, {"rule": np.ones(3)}, {"tolerance": [None]}], ids=str
 )
 def test_of_a_loop(wrong):
     room, measured = rt.datasets.bras_cr2()

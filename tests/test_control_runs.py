@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from rtcal.datasets import halls
-from rtcal.loop.measured_pairs import (
-    COMMON_LEFT,
-    ControlRuns,
-    basis,
-    errors_by_scattering,
-)
+from rtcal.loop.measured_pairs import COMMON_LEFT, ControlRuns, basis, errors_by_scattering
 from rtcal.loop.positions import unexplained_errors
 from rtcal.simulators import PathTracing
 from rtcal.support.errors import DataError

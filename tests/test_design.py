@@ -7,13 +7,7 @@ import pytest
 
 import rtcal as rt
 from benchmarks.studies.predictions import designs
-from rtcal.prediction import (
-    Target,
-    Treatment,
-    ansi_s12_60,
-    din_18041,
-    predict,
-)
+from rtcal.prediction import Target, Treatment, ansi_s12_60, din_18041, predict
 from rtcal.prediction.designed import can_be_had, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
 from tests.conftest import also, room_of

@@ -11,15 +11,7 @@ from scipy.linalg import expm
 from scipy.stats import chi2, multivariate_normal, multivariate_t
 
 import rtcal as rt
-from rtcal.finder import (
-    Absorber,
-    Case,
-    Configuration,
-    evidence,
-    plan,
-    recalibrate,
-    verify,
-)
+from rtcal.finder import Absorber, Case, Configuration, evidence, plan, recalibrate, verify
 from rtcal.finder.claim import MISTAKE
 from rtcal.finder.effects import (
     CoupledDecay,

@@ -133,11 +133,7 @@ def measured(name, alpha, *, scale=1.0, seed=9):
 
 def fit(name, room, data, **options):
     return rt.calibrate_positions(
-        SIMULATORS[name](room),
-        room,
-        data,
-        MATCH,
-        **{"controls": of_simulator(name), **options},
+        SIMULATORS[name](room), room, data, MATCH, **{"controls": of_simulator(name), **options}
     )
 
 
@@ -154,8 +150,7 @@ EACH = [(n, p, s) for n in (*AT_PAIRS, "network") for p in PRIORS for s in (1 / 
 
 
 @pytest.mark.parametrize(
-    ("name", "prior", "scale"),
-    [x for e in EACH for x in ([e] if e in QUICK else also(e))],
+    ("name", "prior", "scale"), [x for e in EACH for x in ([e] if e in QUICK else also(e))]
 )
 def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
     room = stated(PRIORS[prior])

@@ -8,15 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import (
-    Absorber,
-    Case,
-    Effect,
-    library,
-    plan,
-    recalibrate,
-    verify,
-)
+from rtcal.finder import Absorber, Case, Effect, library, plan, recalibrate, verify
 from rtcal.finder.effects import Opening
 from rtcal.finder.means.problem import ModelDiscrepancy, state
 from rtcal.finder.model import Decay

@@ -155,10 +155,7 @@ def test_distance_from_the_walls():
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
-@given(
-    radii=st.lists(st.floats(0.2, 3), min_size=3, max_size=12),
-    split=st.integers(0, 11),
-)
+@given(radii=st.lists(st.floats(0.2, 3), min_size=3, max_size=12), split=st.integers(0, 11))
 def test_triangles_cover_a_polygon(radii, split):
     n = len(radii)
     angles = 2 * np.pi * np.arange(n) / n

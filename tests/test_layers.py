@@ -33,11 +33,7 @@ ORDER = (
     "command",
     "__main__",
 )
-SEPARATE = [
-    ("simulators", "calibration"),
-    ("exact", "calibration"),
-    ("posterior", "calibration"),
-]
+SEPARATE = [("simulators", "calibration"), ("exact", "calibration"), ("posterior", "calibration")]
 
 
 def modules() -> list[Path]:

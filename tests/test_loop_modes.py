@@ -82,13 +82,7 @@ def test_every_position_is_matched_above_alone(told):
         parameters=("t20",), pairs=tracer.pairs, errors=0.05 * np.ones((4, 1, 2, 3))
     )
     result = rt.calibrate_positions(
-        tracer,
-        told,
-        measured,
-        ("t20",),
-        controls=controls,
-        more_paths=1,
-        fit_scattering=False,
+        tracer, told, measured, ("t20",), controls=controls, more_paths=1, fit_scattering=False
     )
     np.testing.assert_allclose(result.alpha[:, :2], told.alpha[:, :2], atol=1e-8)
     np.testing.assert_allclose(result.sigma[:, :2], told.sigma[:, :2], rtol=1e-6)

@@ -8,11 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.observables import OBSERVABLES, gradients, observable, register
 from rtcal.datasets import halls
-from rtcal.simulators import (
-    PathTracing,
-    Polyhedron,
-    kernels,
-)
+from rtcal.simulators import PathTracing, Polyhedron, kernels
 from rtcal.simulators.base import differences, jacobian
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

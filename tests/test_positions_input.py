@@ -15,10 +15,7 @@ from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import response_noise
-from rtcal.simulators import (
-    ImageSource,
-    ScatteringDelayNetwork,
-)
+from rtcal.simulators import ImageSource, ScatteringDelayNetwork
 from rtcal.support.errors import DataError
 from tests.conftest import also, in_hall, room_of
 

@@ -10,11 +10,7 @@ from scipy import stats
 
 import rtcal as rt
 from rtcal.acoustics.bands import third_octaves
-from rtcal.acoustics.priors import (
-    TIERS,
-    SigmaRule,
-    sigma_iso_12999_2,
-)
+from rtcal.acoustics.priors import TIERS, SigmaRule, sigma_iso_12999_2
 from rtcal.support.normal import FINE, truncated_moments, truncated_normal
 from tests.conftest import room_of
 

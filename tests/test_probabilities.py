@@ -233,11 +233,7 @@ def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is():
 
 @pytest.mark.parametrize(
     "case",
-    [
-        case_of(room(0.02), room(0.02)),
-        with_levels(stated=True),
-        with_levels(stated=False),
-    ],
+    [case_of(room(0.02), room(0.02)), with_levels(stated=True), with_levels(stated=False)],
     ids=["no levels", "stated", "not given"],
 )
 def test_the_smallest_threshold_is_the_same_for_all_data(case, monkeypatch):

@@ -90,11 +90,7 @@ def test_errors_against_the_exact_solver_and_the_closed_forms():
         truth = (room.mu[:, np.newaxis] + room.sigma[:, np.newaxis] * z).T
         b = truth @ SHOEBOX
         each = np.broadcast_to(room.mu, truth.shape)
-        cases = {
-            "scaling": np.sqrt(room.mu / SHOEBOX),
-            "lse": np.ones(6),
-            "mle": room.sigma,
-        }
+        cases = {"scaling": np.sqrt(room.mu / SHOEBOX), "lse": np.ones(6), "mle": room.sigma}
         want = [np.mean((each - truth) ** 2)]
         closed = [
             np.array([rt.exact.scaling(room.mu, SHOEBOX, x) for x in b]),

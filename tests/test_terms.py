@@ -143,10 +143,7 @@ def observed(numbers: Numbers, x: np.ndarray) -> float:
 Value = Callable[[Numbers, np.ndarray], float]
 OBJECTIVE: dict[str, tuple[Any, Value]] = {
     "prior": (terms.PriorDeviation(), lambda of, x: 0.5 * float(free(of, x) @ free(of, x))),
-    "correlated": (
-        CORRELATED,
-        lambda of, x: gaussian(of, x, correlation(of, 0.7)),
-    ),
+    "correlated": (CORRELATED, lambda of, x: gaussian(of, x, correlation(of, 0.7))),
     "correlated and together": (
         BOTH,
         lambda of, x: gaussian(of, x, correlation(of, 0.6, common=True)),

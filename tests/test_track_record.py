@@ -8,10 +8,7 @@ from scipy.stats import binom
 from benchmarks import records as benchmark
 from rtcal.finder import records
 from rtcal.finder.records import Share, record_of
-from rtcal.report.finding_words import (
-    interval,
-    record_of_means,
-)
+from rtcal.report.finding_words import interval, record_of_means
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
 

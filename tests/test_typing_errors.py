@@ -55,9 +55,7 @@ def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path):
     table = np.tile(USUAL, (8, 1)) * np.linspace(0.97, 1.03, 8)[:, np.newaxis]
     table[5, 3] /= 20
     measured = rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t30": table},
-        pairs=[("S1", f"R{i}") for i in range(8)],
+        centre_frequencies=BANDS, values={"t30": table}, pairs=[("S1", f"R{i}") for i in range(8)]
     )
     result = rt.calibrate(room(), measured)
     assert result.trust_marks[0].text.startswith("T30 (S1 to R5) = 0.0608 s, beside 1.26 s at")

@@ -24,14 +24,7 @@ BANDS = (500.0, 1000.0, 2000.0)
 SIZE = (7.0, 5.0, 3.0)
 SOURCES = {"S1": (1.2, 1.0, 1.5), "S2": (5.6, 3.9, 1.4)}
 RECEIVERS = {"R1": (5.5, 1.2, 1.2), "R2": (3.4, 2.4, 1.3), "R3": (1.5, 3.8, 1.2)}
-ALPHA = {
-    "west": 0.15,
-    "east": 0.10,
-    "south": 0.20,
-    "north": 0.12,
-    "floor": 0.15,
-    "ceiling": 0.25,
-}
+ALPHA = {"west": 0.15, "east": 0.10, "south": 0.20, "north": 0.12, "floor": 0.15, "ceiling": 0.25}
 MATCH = ("t20", "edt", "c80", "ts", "level")
 HIDDEN = 6.0  # m², an opening in the middle of the east wall of 15 m²
 

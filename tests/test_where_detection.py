@@ -273,9 +273,7 @@ def spread(effect: str) -> SpreadHypothesis:
 
 
 EVERY = PositionsHypotheses(
-    shifts=[shift("porous")],
-    spreads=[spread(NOISE), spread(POSITION)],
-    off=0.1,
+    shifts=[shift("porous")], spreads=[spread(NOISE), spread(POSITION)], off=0.1
 )
 
 

@@ -110,11 +110,7 @@ def given(*parameters: str) -> rt.Measurement:
 def with_values(data: rt.Measurement, **values: object) -> rt.Measurement:
     """Return the measurement with other values; those of None are taken out."""
     kept = {p: v for p, v in {**data.values, **values}.items() if v is not None}
-    return rt.Measurement(
-        centre_frequencies=data.centre_frequencies,
-        pairs=data.pairs,
-        values=kept,
-    )
+    return rt.Measurement(centre_frequencies=data.centre_frequencies, pairs=data.pairs, values=kept)
 
 
 def blank(values: np.ndarray, where: object) -> np.ndarray:

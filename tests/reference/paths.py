@@ -165,9 +165,7 @@ def _sums(
 
 
 def _heard(
-    batch: Batch,
-    weighing: Weighing,
-    shape: tuple[int, int],
+    batch: Batch, weighing: Weighing, shape: tuple[int, int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.bool_]]:
     """Return each reception's event, its path's first event, energy, bin, and whether it has a bin.
 

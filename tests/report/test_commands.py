@@ -6,10 +6,7 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.report import (
-    document,
-    figures,
-)
+from rtcal.report import document, figures
 from rtcal.support.errors import MissingDependencyError
 from tests.conftest import run
 from tests.report.pages import no_figure

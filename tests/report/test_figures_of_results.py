@@ -7,10 +7,7 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
-from rtcal.report import (
-    figures,
-    of_calibration,
-)
+from rtcal.report import figures, of_calibration
 from rtcal.report.document import tables
 from rtcal.support.errors import DataError
 
