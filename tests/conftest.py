@@ -174,6 +174,15 @@ def room_of(
     return rt.Room(**{"name": "room", **of_all, **parts, **stated})
 
 
+def measurement_of(
+    bands: Any, pairs: Any = None, u: Mapping[str, Any] | None = None, **values: Any
+) -> rt.Measurement:
+    """A measurement of parameters, (n_pairs, n_bands) each, with standard uncertainties ``u``."""
+    stated = {"pairs": pairs, "uncertainty": u}
+    given = {name: value for name, value in stated.items() if value is not None}
+    return rt.Measurement(centre_frequencies=bands, values=values, **given)
+
+
 def in_geometry(geometry: Polyhedron, bands: Sequence[float], alpha: Any, **stated: Any) -> rt.Room:
     """The room of a geometry's materials with alpha, one number or (n_materials, n_bands)."""
     rows = np.full((len(geometry.areas), len(bands)), alpha)

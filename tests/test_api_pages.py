@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 import rtcal as rt
-from tests.test_docs import public_names
+from tests.test_names import public_paths
 
 griffe = pytest.importorskip("griffe", reason="needs the extra docs")
 ROOT = Path(__file__).resolve().parents[1]
@@ -47,7 +47,7 @@ def test_every_public_name_is_on_one_page():
     public = mkdocs_public.public_names(package())
     documented = {path for path, one in public.items() if one.has_docstrings}
     assert {path for path in documented - times.keys() if "rtcal.command." not in path} == set()
-    for path, value in public_names().items():
+    for path, value in public_paths().items():
         if inspect.isclass(value) or inspect.isfunction(value):
             assert f"{value.__module__}.{value.__qualname__}" in times, path
 
@@ -55,7 +55,7 @@ def test_every_public_name_is_on_one_page():
 def test_a_page_shows_nothing_that_is_neither_exported_nor_named():
     """A name stands in a public list, in a page's text, or in the signature of a public function."""
     text = re.sub("^:::.*", "", "\n".join(mkdocs_public.API + mkdocs_public.GUIDES), flags=re.M)
-    values = public_names()
+    values = public_paths()
     signatures = [
         str(inspect.signature(value)) for value in values.values() if inspect.isfunction(value)
     ]

@@ -6,7 +6,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import observable
-from tests.conftest import room_of
+from tests.conftest import measurement_of, room_of
 
 THIRDS = bands.third_octaves(100, 5000)
 OCTAVES = bands.octaves(125, 4000)
@@ -94,11 +94,11 @@ def test_energy_quantities_average_as_energy():
 
 def test_measurements_convert_as_a_whole():
     t20 = np.random.default_rng(2).uniform(1, 2, (2, 6))
-    measured = rt.Measurement(
-        centre_frequencies=bands.third_octaves(400, 1250),
-        values={"t20": t20},
-        uncertainty={"t20": 0.03 + 0 * t20},
-        pairs=[("S1", "R1"), ("S1", "R2")],
+    measured = measurement_of(
+        bands.third_octaves(400, 1250),
+        [("S1", "R1"), ("S1", "R2")],
+        u={"t20": 0.03 + 0 * t20},
+        t20=t20,
     )
     found = measured.in_bands([500, 1000])
     assert found.pairs == measured.pairs

@@ -12,6 +12,7 @@ from rtcal.datasets import halls
 from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import External, of_equation
 from rtcal.support.errors import DataError, SimulatorError
+from tests.conftest import measurement_of
 
 
 def bent(room, factor, power):
@@ -118,10 +119,8 @@ def noisy(room, stated, fresh):
 
     def run(alpha, seed):
         times = 1.2 * rt.Eyring().time(room, room.areas @ alpha) * (1 + (seed > 0) * fresh)
-        return rt.Measurement(
-            centre_frequencies=room.centre_frequencies,
-            values={"t20": times[np.newaxis]},
-            uncertainty={"t20": (stated * times)[np.newaxis]},
+        return measurement_of(
+            room.centre_frequencies, u={"t20": (stated * times)[np.newaxis]}, t20=times[np.newaxis]
         )
 
     return External(room=room, run=run, name="noisy", deterministic=False)

@@ -11,7 +11,7 @@ from scipy.special import ndtr, ndtri
 import rtcal as rt
 from rtcal.prediction import Assumptions, Change, changed
 from rtcal.support.types import Array
-from tests.conftest import also, room_of
+from tests.conftest import also, measurement_of, room_of
 
 BANDS = np.array([250.0, 1000.0])
 AXES = {"floor": (0, 0, 1), "ceiling": (0, 0, 1), "wall": (0.5, 0.5, 0)}
@@ -30,11 +30,7 @@ def a_room(seed: int):
     materials = dict(zip(AXES, zip(areas, alpha, sigma, strict=True), strict=True))
     room = room_of(materials, BANDS, x * y * z, air=rt.Air(20, 50))
     t = rt.Eyring().reverberation_time(room) * np.exp(0.15 * rng.standard_normal(2))
-    measured = rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t20": t[np.newaxis]},
-        uncertainty={"t20": U_T * t[np.newaxis]},
-    )
+    measured = measurement_of(BANDS, u={"t20": U_T * t[np.newaxis]}, t20=t[np.newaxis])
     method = ("mle", "soft")[seed % 2]
     return rng, rt.calibrate(room, measured, method=method, unreachable="nearest"), t
 

@@ -10,11 +10,11 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 import rtcal as rt
+from tests.test_names import public_paths
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
@@ -133,21 +133,6 @@ def test_version_and_citation_agree():
     assert f"## {rt.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-def public_names() -> dict[str, object]:
-    """Return what is public: the classes, functions and constants of every ``__all__`` below rtcal."""
-    found: dict[str, object] = {}
-    modules = [rt]
-    while modules:
-        module = modules.pop()
-        for name in module.__all__:
-            value = getattr(module, name)
-            if isinstance(value, ModuleType):
-                modules.append(value)
-            else:
-                found[f"{module.__name__}.{name}"] = value
-    return found
-
-
 NEEDS_NO_EXAMPLE = {
     "page_of": "as page.page, from a folder",
     "from_sweep": "as rtcal measure --sweep, from recordings",
@@ -160,7 +145,7 @@ def test_every_public_name_has_an_example_that_runs():
         block for page in (ROOT / "docs").glob("**/*.md") for block in blocks(page, "python")
     )
     words = set(re.findall(r"\w+", shown))
-    names = public_names()
+    names = public_paths()
     assert len(names) > 120
     missing = [
         name

@@ -20,7 +20,7 @@ from rtcal.report import of_finding
 from rtcal.report.finding_words import without_measuring
 from rtcal.report.verification_words import sentence
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, measurement_of
 
 F = 125.0 * 2.0 ** np.arange(6)
 FEWER = ("membrane", "resonator", "curtain", "people", "audience", "covered surface")
@@ -57,10 +57,8 @@ def values_of(room: rt.Room, factor: float = 1.0) -> dict[str, np.ndarray]:
 
 def measurement(values: dict[str, np.ndarray]) -> rt.Measurement:
     u = {k: 0.02 * v if k in ("t20", "edt", "t30") else np.full(6, 0.3) for k, v in values.items()}
-    return rt.Measurement(
-        centre_frequencies=F,
-        values={k: v[None] for k, v in values.items()},
-        uncertainty={k: v[None] for k, v in u.items()},
+    return measurement_of(
+        F, u={k: v[None] for k, v in u.items()}, **{k: v[None] for k, v in values.items()}
     )
 
 

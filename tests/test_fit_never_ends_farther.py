@@ -11,7 +11,7 @@ from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.loop.positions import precise
 from rtcal.simulators import External, ImageSource, PathTracing, ScatteringDelayNetwork
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from tests.conftest import also
+from tests.conftest import also, measurement_of
 
 MATCH = ("t20", "edt", "c80")
 BANDS = [500.0, 2000.0]
@@ -78,14 +78,12 @@ def program(room):
         late = rt.Eyring().time(room, area)
         near = np.array([0.9, 1.0, 1.1])[:, np.newaxis]
         early = late * near * (0.5 + alpha[1]) ** 0.4
-        return rt.Measurement(
-            centre_frequencies=BANDS,
-            pairs=[("S", "Q"), ("S", "R"), ("S", "P")],
-            values={
-                "t20": np.broadcast_to(late, (3, 2)) * near**0.2,
-                "edt": early,
-                "c80": 10 * np.log10(np.expm1(13.8 * 0.08 / early)),
-            },
+        return measurement_of(
+            BANDS,
+            [("S", "Q"), ("S", "R"), ("S", "P")],
+            t20=np.broadcast_to(late, (3, 2)) * near**0.2,
+            edt=early,
+            c80=10 * np.log10(np.expm1(13.8 * 0.08 / early)),
         )
 
     return External(room=room, run=run, name="program")
@@ -205,9 +203,7 @@ def test_no_loop_ends_farther_than_the_stated_coefficients(name, factor):
     simulator = SIMULATORS[name](room)
     alpha = np.clip(factor * ALPHA, 0.02, 0.9)
     heard = simulator.simulate(alpha, seed=0)
-    data = rt.Measurement(
-        centre_frequencies=BANDS, pairs=heard.pairs, values={"t20": heard.values["t20"]}
-    )
+    data = measurement_of(BANDS, heard.pairs, t20=heard.values["t20"])
     result = rt.calibrate_simulator(simulator, room, data)
     wanted = data.mean("t20")
     start, end = (

@@ -100,20 +100,6 @@ def test_silence_before_the_direct_sound_moves_nothing():
             np.testing.assert_allclose(others[parameter], value, atol=1e-4)
 
 
-def test_bands_of_noise_like_responses():
-    rng = np.random.default_rng(3)
-    t = 0.8
-    signals = {("S1", f"R{i}"): pyfar.Signal(response(t, rng), 16000) for i in range(10)}
-    analysis = ir.analyse(signals, bands=[500, 1000, 2000])
-    mean = analysis.measurement.mean("t20")
-    f = analysis.measurement.centre_frequencies
-    # One response scatters by 0.88 / sqrt(B T); four standard deviations of the mean of ten.
-    limit = 4 * 0.88 / np.sqrt(0.71 * f * t) / np.sqrt(10)
-    assert (np.abs(mean / t - 1) < limit).all()
-    assert analysis.notes == ()
-    assert np.isfinite(analysis.measurement.values["c80"]).all()
-
-
 def test_the_backward_filter_keeps_a_short_decay():
     # The energy that a filter's response h makes of white noise with a decay e, exactly: the decay
     # of conv(h², e) forwards, of the correlation backwards.

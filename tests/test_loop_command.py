@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from tests.conftest import also, run
+from tests.conftest import also, measurement_of, run
 
 
 def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path, rtcal):
@@ -49,9 +49,7 @@ def written(folder):
 def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path, rtcal):
     room, measured = cr2
     values = {"t20": measured.values["t30"]}
-    t20 = rt.Measurement(
-        centre_frequencies=room.centre_frequencies, values=values, pairs=[("S", "R")]
-    )
+    t20 = measurement_of(room.centre_frequencies, [("S", "R")], **values)
     step, _ = begun(room, t20, tmp_path)
     before = written(tmp_path)
     assert "this table is the measurement" in rtcal.refused(*step, tmp_path / "t.csv")

@@ -8,6 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import closed as rules
 from rtcal.loop.closed import Matched, Step
+from tests.conftest import measurement_of
 
 LOW, HIGH, NAN = 0.01, 100.0, np.nan
 
@@ -103,11 +104,11 @@ def test_a_loops_goal_is_in_jnd_of_the_measured_time(cr2):
     share = np.array([0.0, 0.01, 0.02, 0.03, 0.1, np.nan])
     for tolerance in (1.0, 2.0):
         loop = rt.loop.start(room, measured, tolerance=tolerance)
-        simulated = rt.Measurement(
-            centre_frequencies=room.centre_frequencies,
-            values={"t20": np.tile(3 * wanted, (4, 1))},
-            pairs=[("S", f"R{i}") for i in range(4)],
-            uncertainty={"t20": np.tile(2 * share * wanted, (4, 1))},  # the mean has half of it
+        simulated = measurement_of(
+            room.centre_frequencies,
+            [("S", f"R{i}") for i in range(4)],
+            u={"t20": np.tile(2 * share * wanted, (4, 1))},
+            t20=np.tile(3 * wanted, (4, 1)),
         )
         loop = loop.record(loop.next_alpha, simulated)
         assert loop.steps[0].noise == pytest.approx(share * wanted, nan_ok=True)
@@ -123,10 +124,8 @@ def test_the_goal_decides_what_is_converged(cr2):
     gap = np.array([0.59, 0.61, -0.59, -0.61, 0.99, 0.0])
     noise = np.array([0.4, 0.4, 0.4, 0.4, 0.0, 0.4])
     loop = rt.loop.start(room, measured)
-    simulated = rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values={"t20": [wanted * (1 + 0.05 * gap)]},
-        uncertainty={"t20": [0.05 * noise * wanted]},
+    simulated = measurement_of(
+        room.centre_frequencies, u={"t20": [0.05 * noise * wanted]}, t20=[wanted * (1 + 0.05 * gap)]
     )
     loop = loop.record(loop.next_alpha, simulated)
     done, on = "converged", "not converging"
@@ -234,10 +233,10 @@ def test_a_confirmation_is_within_tolerance_and_noise(cr2):
     loop = rt.loop.start(room, measured)
 
     def means(gap, noise):
-        return rt.Measurement(
-            centre_frequencies=room.centre_frequencies,
-            values={"t20": [wanted * (1 + 0.05 * np.array(gap))]},
-            uncertainty={"t20": [0.05 * np.array(noise) * wanted]},
+        return measurement_of(
+            room.centre_frequencies,
+            u={"t20": [0.05 * np.array(noise) * wanted]},
+            t20=[wanted * (1 + 0.05 * np.array(gap))],
         )
 
     loop = loop.record(loop.next_alpha, means([0.0, 0.0, 0.0, 0.0, 0.0, 9.0], np.zeros(6)))

@@ -15,7 +15,7 @@ from rtcal.report.pages import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.blocks import Table
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, measurement_of
 from tests.test_saved_results import back
 
 SIDES = np.array([5.2, 4.1, 2.6])
@@ -188,9 +188,7 @@ def test_uncertainty_of_t_counts():
         rt.calibrate_modes(
             ROOM,
             modes,
-            rt.Measurement(
-                centre_frequencies=BANDS, values={"t20": t[None]}, uncertainty={"t20": u * t[None]}
-            ),
+            measurement_of(BANDS, u={"t20": u * t[None]}, t20=t[None]),
         )
         for u in (0.01, 0.2)
     )

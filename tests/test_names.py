@@ -15,47 +15,25 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import cli
 
-PACKAGE = Path(rt.__file__).parent
-MODULES = {
-    ".".join(("rtcal", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
-        ".__init__"
-    ): path
-    for path in sorted(PACKAGE.rglob("*.py"))
-}
-Trees = dict[str, ast.Module]
+
+def test_no_two_classes_have_one_name():
+    modules = [ast.parse(path.read_bytes()) for path in Path(rt.__file__).parent.rglob("*.py")]
+    names = [n.name for m in modules for n in m.body if isinstance(n, ast.ClassDef)]
+    assert [n for n, times in Counter(names).items() if times > 1 and n[0] != "_"] == []
 
 
-@pytest.fixture(scope="module")
-def trees():
-    """Every module, parsed. It goes with these tests: millions of nodes slow what collects garbage."""
-    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+def public_paths() -> dict[str, Any]:
+    """Return every public object by each path below `rtcal` by which a user reaches it."""
+    paths: dict[str, Any] = {}
 
-
-def definitions(trees: Trees, kind: type[ast.FunctionDef | ast.ClassDef]) -> list[tuple[str, str]]:
-    """Return (module, name) of what stands at the head of every module."""
-    return [
-        (module, node.name)
-        for module, tree in trees.items()
-        for node in tree.body
-        if isinstance(node, kind)
-    ]
-
-
-def test_no_two_classes_have_one_name(trees):
-    names = (name for _, name in definitions(trees, ast.ClassDef) if not name.startswith("_"))
-    assert {name for name, n in Counter(names).items() if n > 1} == set()
-
-
-def public_objects() -> dict[str, Any]:
-    """Return the public classes and functions by the name of their module and their own."""
-    found, modules = {}, [rt]
-    for module in modules:
-        for value in (getattr(module, name) for name in module.__all__):
+    def walk(module: ModuleType, path: str) -> None:
+        for name in module.__all__:
+            value = paths[f"{path}.{name}"] = getattr(module, name)
             if isinstance(value, ModuleType):
-                modules += [value] * (value not in modules)
-            elif inspect.isclass(value) or inspect.isfunction(value):
-                found[f"{value.__module__}.{value.__name__}"] = value
-    return found
+                walk(value, f"{path}.{name}")
+
+    walk(rt, "rtcal")
+    return paths
 
 
 FORMULA = re.compile(r"[²½]|⁻¹|\^")
@@ -65,7 +43,9 @@ SOURCE = re.compile(r"(18|19|20)\d\d|ISO|IEC|Eqs?\.|docs/\w+\.md")
 def test_every_formula_has_a_source():
     """The source is a publication, a standard, or the page that derives it."""
     with_formula = []
-    for name, value in public_objects().items():
+    for name, value in public_paths().items():
+        if not (inspect.isclass(value) or inspect.isfunction(value)):
+            continue
         text = inspect.getdoc(value) or ""
         prose = re.split(r"\n(?:Parameters|Attributes|Returns|Raises|Examples)\n-+", text)[0]
         if FORMULA.search(re.sub("m²|m³|s²", "", prose)):
@@ -110,25 +90,9 @@ def test_every_command_that_prints_prints_json_and_can_be_quiet():
     assert {*OPTIONS["--json"]} == {*OPTIONS["--quiet"]} == {*OPTIONS["-q"]} == commands
 
 
-def public_paths() -> dict[str, Any]:
-    """Return every public object by each path below `rtcal` by which a user reaches it."""
-    paths: dict[str, Any] = {}
-
-    def walk(module: ModuleType, path: str) -> None:
-        for name in module.__all__:
-            value = getattr(module, name)
-            if isinstance(value, ModuleType) or inspect.isclass(value) or callable(value):
-                paths[f"{path}.{name}"] = value
-            if isinstance(value, ModuleType):
-                walk(value, f"{path}.{name}")
-
-    walk(rt, "rtcal")
-    return paths
-
-
 def test_every_public_object_has_one_path():
     """`rtcal.calibrate`, `rtcal.calibration.calibrate`: a reader asks how they differ."""
-    paths = public_paths()
+    paths = {path: value for path, value in public_paths().items() if callable(value)}
     assert len(paths) > 100
     times = Counter(map(id, paths.values()))
     assert [name for name, value in paths.items() if times[id(value)] > 1] == []

@@ -15,6 +15,7 @@ import rtcal as rt
 from rtcal.acoustics.changes import read_treatments, read_variants
 from rtcal.finder import Case
 from rtcal.support.errors import DataError, RtcalError
+from tests.conftest import measurement_of
 from tests.test_discrepancy import opened
 
 FOLDER = Path(__file__).parent / "native"
@@ -176,10 +177,8 @@ def test_names_come_back_whatever_they_are():
 def test_a_name_is_no_formula_to_the_program_that_opens_the_table(name, tmp_path):
     from rtcal.io import tables
 
-    measured = rt.Measurement(
-        centre_frequencies=[500, 1000],
-        values={"t20": np.array([[1.0, 2.0], [3.0, 4.0]])},
-        pairs=[(name, "R1"), ("S2", name)],
+    measured = measurement_of(
+        [500, 1000], [(name, "R1"), ("S2", name)], t20=np.array([[1.0, 2.0], [3.0, 4.0]])
     )
     for file in ("t.csv", "t.xlsx"):
         tables.write(measured, tmp_path / file)

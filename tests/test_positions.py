@@ -9,7 +9,7 @@ import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.measured_pairs import MaterialScattering
 from rtcal.loop.positions import PositionsResult, precise
-from tests.conftest import in_hall
+from tests.conftest import in_hall, measurement_of
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 HALL = halls.lecture_hall()
@@ -23,10 +23,10 @@ def heard(room, alpha, **options):
     """Return what another tracing of the room measures, with its levels."""
     other = tracing(room, **options)
     seen = other.observe(alpha, MATCH, seed=77)
-    return rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        pairs=seen.pairs,
-        values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
+    return measurement_of(
+        room.centre_frequencies,
+        seen.pairs,
+        **{("g" if p == "level" else p): seen.natural(p) for p in MATCH},
     )
 
 
@@ -113,10 +113,8 @@ def test_measurements_determine_the_scattering_of_each_material():
 
 
 def replaced(measured, parameter, values):
-    return rt.Measurement(
-        centre_frequencies=measured.centre_frequencies,
-        pairs=measured.pairs,
-        values={**measured.values, parameter: values},
+    return measurement_of(
+        measured.centre_frequencies, measured.pairs, **{**measured.values, parameter: values}
     )
 
 
@@ -165,10 +163,11 @@ def test_any_simulator_is_calibrated_without_an_interval():
     def program(alpha, seed):
         time = rt.Sabine().time(room, room.areas @ alpha)
         late = rt.Sabine().time(room, room.areas**1.1 @ alpha)
-        return rt.Measurement(
-            centre_frequencies=room.centre_frequencies,
-            pairs=pairs,
-            values={"t20": np.array([time, late]), "edt": np.array([time, late]) ** 0.9},
+        return measurement_of(
+            room.centre_frequencies,
+            pairs,
+            t20=np.array([time, late]),
+            edt=np.array([time, late]) ** 0.9,
         )
 
     simulator = rt.simulators.External(room=room, run=program, name="mine 1.0")

@@ -17,7 +17,7 @@ from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.simulators import ImageSource, ScatteringDelayNetwork
 from rtcal.support.errors import DataError
-from tests.conftest import also, in_hall, room_of
+from tests.conftest import also, in_hall, measurement_of, room_of
 
 HALL = halls.lecture_hall()
 ROOM = HALL.room
@@ -58,10 +58,10 @@ def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
 
 
 def only(measured, rows, pairs=None, **values):
-    return rt.Measurement(
-        centre_frequencies=measured.centre_frequencies,
-        pairs=pairs or [measured.pairs[i] for i in rows],
-        values={p: v[rows] for p, v in measured.values.items()} | values,
+    return measurement_of(
+        measured.centre_frequencies,
+        pairs or [measured.pairs[i] for i in rows],
+        **({p: v[rows] for p, v in measured.values.items()} | values),
     )
 
 
@@ -161,10 +161,8 @@ def test_shoebox_simulators_have_levels_and_are_calibrated(simulator):
     assert nothing[0, 0] == pytest.approx(20 - 20 * np.log10(distance), abs=0.1)
     true = np.array([[0.4], [0.18]])
     seen = simulator.observe(true, MATCH)
-    measured = rt.Measurement(
-        centre_frequencies=[1000],
-        pairs=seen.pairs,
-        values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
+    measured = measurement_of(
+        [1000], seen.pairs, **{("g" if p == "level" else p): seen.natural(p) for p in MATCH}
     )
     result = rt.calibrate_positions(simulator, BOX, measured, match=MATCH)
     # Its reference simulations are path tracings, so its own decays are not taken at their word.

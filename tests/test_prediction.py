@@ -11,7 +11,7 @@ from rtcal.acoustics.changes import read_variants
 from rtcal.prediction import Assumptions, Change, changed, predict
 from rtcal.prediction.predicted import JND, Prediction
 from rtcal.support.errors import DataError, ModelError
-from tests.conftest import also, in_order, room_of
+from tests.conftest import also, in_order, measurement_of, room_of
 
 BANDS = [250.0, 1000.0, 4000.0]
 METHODS = ("mle", "soft", "lse", "smooth", "robust")
@@ -52,11 +52,7 @@ def measured_in(room: rt.Room, seed: int, equation=None) -> rt.Measurement:
 
 def at_two_positions(t: np.ndarray, u: float) -> rt.Measurement:
     """Two values that leave their mean with this relative uncertainty."""
-    return rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t20": [(1 - u) * t, (1 + u) * t]},
-        pairs=[("S", "R1"), ("S", "R2")],
-    )
+    return measurement_of(BANDS, [("S", "R1"), ("S", "R2")], t20=[(1 - u) * t, (1 + u) * t])
 
 
 def calibrated(seed: int, method: str = "mle", equation=None, **more):
@@ -370,19 +366,6 @@ def test_a_later_change_may_cover_what_an_earlier_one_of_the_file_brought_in(res
         read_variants(chain.format(then, first), result.room)
 
 
-@pytest.mark.parametrize("missing", [[0, 1, 2], [1]])
-def test_no_change_of_what_was_not_measured_is_the_t_before(missing):
-    """T before is then the equation's, with its uncertainty, and so is T after."""
-    room = a_room(6)
-    t = measured_in(room, 6).mean("t20")
-    t[missing] = np.nan
-    known = room if len(missing) == 3 else rt.calibrate(room, t)
-    unchanged = rt.prediction.predict(known, [])
-    np.testing.assert_allclose(unchanged.mean, unchanged.time_before, rtol=1e-12)
-    np.testing.assert_allclose(unchanged.change, 0, atol=1e-9)
-    assert (unchanged.half_width[missing] > 1).all()
-
-
 def of_faces(absorbing: dict[str, tuple[float, float]], *materials: str) -> rt.Room:
     """5 x 4 m: ceiling, floor and two pairs of walls, of materials with alpha and relative sigma."""
     rows = [rt.Material(n, [a] * 3, [u * a] * 3) for n, (a, u) in absorbing.items()]
@@ -516,10 +499,8 @@ def test_laws_of_a_change_that_a_program_simulated(seed):
     )
     assert (lively.mean < made.mean).all()
     # Noise that the runs state widens the interval.
-    noisy = rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t20": (ratio * before)[None]},
-        uncertainty={"t20": (0.1 * ratio * before)[None]},
+    noisy = measurement_of(
+        BANDS, u={"t20": (0.1 * ratio * before)[None]}, t20=(ratio * before)[None]
     )
     wider = result.predict(change, run=run, run_after=noisy)
     assert (wider.half_width > made.half_width).all()

@@ -25,7 +25,7 @@ from rtcal.finder.means.problem import (
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, measurement_of
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
@@ -51,10 +51,8 @@ def measured(truth: Case, *, stated: bool = True) -> rt.Measurement:
     t20 = np.exp(row[0])
     times = {"t20": t20, "edt": t20 * np.exp(row[1]), "t30": t20 * np.exp(row[2])}
     values = {k: v[None] for k, v in times.items()}
-    return rt.Measurement(
-        centre_frequencies=np.array(F),
-        values=values,
-        uncertainty={k: 0.01 * v for k, v in values.items()} if stated else {},
+    return measurement_of(
+        np.array(F), u={k: 0.01 * v for k, v in values.items()} if stated else {}, **values
     )
 
 
@@ -177,9 +175,7 @@ def with_levels(*, stated: bool) -> Case:
     (row,) = predict([state(one, one.configurations[0])], np.array([5.0])).features
     values = {"t20": np.exp(row[0])[None], "c80": row[3][None]}
     spread = {"t20": 0.01 * values["t20"], "c80": np.full((1, 6), 0.3)}
-    heard = rt.Measurement(
-        centre_frequencies=np.array(F), values=values, uncertainty=spread if stated else {}
-    )
+    heard = measurement_of(np.array(F), u=spread if stated else {}, **values)
     return replace(one, configurations=[Configuration(name=n, measured=heard) for n in "AB"])
 
 

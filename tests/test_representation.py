@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from tests.conftest import room_of
+from tests.conftest import measurement_of, room_of
 
 
 def box(**changes):
@@ -47,11 +47,12 @@ def test_a_notebook_shows_a_room_as_a_table():
 
 
 def test_a_notebook_shows_means_and_what_is_missing():
-    measured = rt.Measurement(
-        centre_frequencies=[500, 1000],
-        values={"t20": [[2.0, np.nan]], "c80": [[1.25, -3.0]]},
-        pairs=[("S", "R")],
-        uncertainty={"t20": [[0.1, np.nan]]},
+    measured = measurement_of(
+        [500, 1000],
+        [("S", "R")],
+        u={"t20": [[0.1, np.nan]]},
+        t20=[[2.0, np.nan]],
+        c80=[[1.25, -3.0]],
     )
     assert cells(measured._repr_html_()) == [
         ["mean ± u", "500 Hz", "1000 Hz"],

@@ -36,7 +36,7 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.search import find
 from rtcal.report.finding_words import headline
 from rtcal.support.errors import DataError
-from tests.conftest import also, room_of
+from tests.conftest import also, measurement_of, room_of
 from tests.test_discrepancy import ALPHA, AREAS, F, alpha_covariance, controls_of
 from tests.test_find_with_run import natural
 
@@ -51,10 +51,10 @@ def measured(features: np.ndarray) -> rt.Measurement:
     """Return what a model predicts, as a measurement of a pair at 5 m."""
     values = natural(features)
     spread = {k: 0.01 * v if k in ("t20", "edt", "t30") else 0.2 for k, v in values.items()}
-    return rt.Measurement(
-        centre_frequencies=F,
-        values={k: v[None] for k, v in values.items()},
-        uncertainty={k: np.broadcast_to(u, (1, 7)).copy() for k, u in spread.items()},
+    return measurement_of(
+        F,
+        u={k: np.broadcast_to(u, (1, 7)).copy() for k, u in spread.items()},
+        **{k: v[None] for k, v in values.items()},
     )
 
 

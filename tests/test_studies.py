@@ -224,15 +224,6 @@ def test_the_halls_are_closed_and_have_the_papers_numbers():
 # Running ------------------------------------------------------------------------------------------
 
 
-def test_same_for_any_number_of_workers():
-    one = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, workers=1)
-    many = studies.run(SHOEBOX, 0.05, 450, 300, seed=11, workers=3)
-    assert np.array_equal(one.moments.products, many.moments.products)
-    assert one.scores().tolist() == many.scores().tolist()
-    another = studies.run(SHOEBOX, 0.05, 450, 300, seed=12)
-    assert not np.array_equal(one.moments.products, another.moments.products)
-
-
 # Tables, the command, bad input -------------------------------------------------------------------
 
 

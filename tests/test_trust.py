@@ -9,7 +9,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.marks import of_input, plausibility, trust_marks
 from rtcal.report.pages import page
-from tests.conftest import room_of
+from tests.conftest import measurement_of, room_of
 
 
 def test_q_counts_correlated_bands_once():
@@ -108,25 +108,16 @@ def test_uncertainty_of_t_over_pairs():
     measured = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20})
     spread = np.std(t20, axis=0, ddof=1) / np.sqrt(3)
     np.testing.assert_allclose(measured.reverberation_time_uncertainty, spread, rtol=1e-12)
-    same = rt.Measurement(
-        centre_frequencies=[500, 1000], pairs=pairs, values={"t20": np.ones((6, 2))}
-    )
+    same = measurement_of([500, 1000], pairs, t20=np.ones((6, 2)))
     iso = 0.88 * np.sqrt((1 + 0.190) / (6 * 0.71 * np.array([500, 1000]) * 1.0))
     np.testing.assert_allclose(same.reverberation_time_uncertainty, iso, rtol=1e-12)
-    t30 = rt.Measurement(
-        centre_frequencies=[500, 630], pairs=pairs, values={"t30": np.ones((6, 2))}
-    )
+    t30 = measurement_of([500, 630], pairs, t30=np.ones((6, 2)))
     iso = 0.55 * np.sqrt((1 + 0.152) / (6 * 0.23 * np.array([500, 630]) * 1.0))
     np.testing.assert_allclose(t30.reverberation_time_uncertainty, iso, rtol=1e-12)
     t20[0, 1] = np.nan
     holes = rt.Measurement(centre_frequencies=[500, 1000], pairs=pairs, values={"t20": t20})
     assert holes.reverberation_time[1] == pytest.approx(np.mean(t20[1:, 1]))
-    stated = rt.Measurement(
-        centre_frequencies=[500, 1000],
-        pairs=pairs,
-        values={"t20": t20},
-        uncertainty={"t20": np.full((6, 2), 0.06)},
-    )
+    stated = measurement_of([500, 1000], pairs, u={"t20": np.full((6, 2), 0.06)}, t20=t20)
     assert stated.reverberation_time_uncertainty[0] == pytest.approx(0.06 / np.sqrt(6))
 
 

@@ -8,6 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.room import times_of
 from rtcal.finder import StatesCase
+from tests.conftest import measurement_of
 from tests.two_states import BANDS, measured, room, times
 
 
@@ -40,9 +41,7 @@ def test_panels_are_found_with_their_amount_and_spectrum(panels):
 
 def test_changes_that_cancel_have_one_orientation():
     two = [
-        rt.Measurement(
-            centre_frequencies=[500, 1000], values={"t20": [t]}, uncertainty={"t20": [u]}
-        )
+        measurement_of([500, 1000], u={"t20": [u]}, t20=[t])
         for t, u in (([1.0, 2.0], [0.125, 0.25]), ([2.0, 1.0], [0.25, 0.125]))
     ]
     some = room().replace(alpha=np.full((3, 2), 0.1), sigma=np.full((3, 2), 0.1),

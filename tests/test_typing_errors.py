@@ -9,7 +9,7 @@ from rtcal.finder import case_of
 from rtcal.io import tables
 from rtcal.report.finding_words import cautions
 from rtcal.support.text import as_sentence
-from tests.conftest import room_of
+from tests.conftest import measurement_of, room_of
 from tests.test_discrepancy import controls_of
 
 BANDS = [125, 250, 500, 1000, 2000, 4000]
@@ -54,9 +54,7 @@ def test_what_rooms_do_is_no_typing_error():
 def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path):
     table = np.tile(USUAL, (8, 1)) * np.linspace(0.97, 1.03, 8)[:, np.newaxis]
     table[5, 3] /= 20
-    measured = rt.Measurement(
-        centre_frequencies=BANDS, values={"t30": table}, pairs=[("S1", f"R{i}") for i in range(8)]
-    )
+    measured = measurement_of(BANDS, [("S1", f"R{i}") for i in range(8)], t30=table)
     result = rt.calibrate(room(), measured)
     assert result.trust_marks[0].text.startswith("T30 (S1 to R5) = 0.0608 s, beside 1.26 s at")
     tables.write(measured, tmp_path / "t.csv")

@@ -17,7 +17,7 @@ from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
-from tests.conftest import in_geometry, room_of
+from tests.conftest import in_geometry, measurement_of, room_of
 from tests.test_where_corrected import L_PLAN, prism, triangulated
 
 BANDS = (500.0, 1000.0, 2000.0)
@@ -54,9 +54,7 @@ def heard(
         sigma = np.full(value.shape, 0.1) if p in ("c80", "level") else 0.01 * value
         values[name] = value + sigma * rng.standard_normal(value.shape)
         uncertainty[name] = sigma
-    return rt.Measurement(
-        centre_frequencies=BANDS, pairs=seen.pairs, values=values, uncertainty=uncertainty
-    )
+    return measurement_of(BANDS, seen.pairs, u=uncertainty, **values)
 
 
 @functools.cache

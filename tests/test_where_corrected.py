@@ -17,7 +17,7 @@ from rtcal.io import catt, geometry_files, obj, odeon, pyroomacoustics
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
-from tests.conftest import also, in_geometry
+from tests.conftest import also, in_geometry, measurement_of
 
 BANDS = (500.0, 1000.0)
 SIZE = (7.0, 5.0, 3.0)
@@ -98,9 +98,7 @@ def case_in(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> Pos
     )
     return PositionsCase(
         simulator=tracer,
-        measured=rt.Measurement(
-            centre_frequencies=BANDS, pairs=tracer.pairs, values={"t20": np.ones((2, 2))}
-        ),
+        measured=measurement_of(BANDS, tracer.pairs, t20=np.ones((2, 2))),
     )
 
 

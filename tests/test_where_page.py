@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-import rtcal as rt
 from rtcal.files.disk import write_all
 from rtcal.finder import verification
 from rtcal.finder.claim import Candidate, Detection
@@ -21,6 +20,7 @@ from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report import of_finding, verification_words
 from rtcal.report.document import page_files
+from tests.conftest import measurement_of
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -88,11 +88,7 @@ def verification_of(
 
 
 SIX = [("S", f"R{i}") for i in range(6)]
-MEASURED = rt.Measurement(
-    centre_frequencies=[500, 1000],
-    pairs=SIX,
-    values={"t20": np.full((6, 2), 1.2), "edt": np.full((6, 2), 1.1)},
-)
+MEASURED = measurement_of([500, 1000], SIX, t20=np.full((6, 2), 1.2), edt=np.full((6, 2), 1.1))
 PAIRS = SimpleNamespace(
     kind="positions",
     pairs=SIX,

@@ -12,7 +12,7 @@ from rtcal.finder.positions.problem import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from tests.conftest import in_geometry
+from tests.conftest import in_geometry, measurement_of
 
 BANDS = (500.0, 1000.0)
 SIZE = (12.0, 4.0, 3.0)
@@ -54,10 +54,8 @@ def case():
     assert opened is not None
     real = tracing(opened, paths=9600, scattering=0.5)
     heard = real.observe(real.room.alpha, MATCH, seed=7)
-    measured = rt.Measurement(
-        centre_frequencies=BANDS,
-        pairs=heard.pairs,
-        values={("g" if p == "level" else p): heard.natural(p) for p in MATCH},
+    measured = measurement_of(
+        BANDS, heard.pairs, **{("g" if p == "level" else p): heard.natural(p) for p in MATCH}
     )
     return rt.finder.PositionsCase(simulator=tracing(box()), measured=measured)
 

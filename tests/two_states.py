@@ -4,6 +4,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.support.types import Array
+from tests.conftest import measurement_of
 
 BANDS = np.array([125.0, 250, 500, 1000, 2000, 4000])
 BANDWIDTH = BANDS / np.sqrt(2)
@@ -53,8 +54,6 @@ def measured(
     scale = np.where(np.arange(pairs) < noisy, 3.0, 1.0)[:, np.newaxis]
     noise = scale * rng.standard_normal((pairs, len(t))) * 0.88 / np.sqrt(BANDWIDTH * t)
     own = uneven * rng.standard_normal((pairs, 1))
-    return rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t20": t * np.exp(noise + own)},
-        pairs=[(f"S{i}", "R1") for i in range(pairs)],
+    return measurement_of(
+        BANDS, [(f"S{i}", "R1") for i in range(pairs)], t20=t * np.exp(noise + own)
     )

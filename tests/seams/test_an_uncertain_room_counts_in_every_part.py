@@ -12,7 +12,7 @@ from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.weighing import AIR
 from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Assumptions, predict
-from tests.conftest import room_of
+from tests.conftest import measurement_of, room_of
 
 SABINE = rt.Sabine()
 PAIRS = (("S", "R1"), ("S", "R2"))
@@ -75,17 +75,12 @@ def calibrated(room: rt.Room, factor: float) -> PositionsResult:
 
     def program(alpha: np.ndarray, seed: int) -> rt.Measurement:
         t = SABINE.time(room, room.areas @ alpha)
-        return rt.Measurement(
-            centre_frequencies=room.centre_frequencies, pairs=PAIRS, values={"t20": [t, t]}
-        )
+        return measurement_of(room.centre_frequencies, PAIRS, t20=[t, t])
 
     simulator = rt.simulators.External(room=room, run=program, name="Sabine")
     t = factor * SABINE.reverberation_time(room)
-    measured = rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        pairs=PAIRS,
-        values={"t20": [t, t]},
-        uncertainty={"t20": [0.01 * t, 0.01 * t]},
+    measured = measurement_of(
+        room.centre_frequencies, PAIRS, u={"t20": [0.01 * t, 0.01 * t]}, t20=[t, t]
     )
     controls = rt.loop.ControlRuns(
         parameters=("t20",), pairs=PAIRS, errors=0.01 * np.ones((4, 1, 2, room.n_bands))

@@ -22,7 +22,7 @@ from rtcal.finder.means.problem import distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError
-from tests.conftest import also
+from tests.conftest import also, measurement_of
 
 ROUNDING = 1e-9
 ONLY_DECAY = "decay not in a room"
@@ -190,11 +190,7 @@ def test_the_calibrated_room_has_the_calibrated_model_s_time(case, effect):
         [state(replace(case, applied=applied), first, 0.95 * case.room.alpha)],
         distances(case, first),
     ).reverberation_time
-    measured = rt.Measurement(
-        centre_frequencies=case.room.centre_frequencies,
-        values={"t20": times},
-        uncertainty={"t20": 0.03 * times},
-    )
+    measured = measurement_of(case.room.centre_frequencies, u={"t20": 0.03 * times}, t20=times)
     at = replace(first, changes={}, air=None, distances=None, measured=measured)
     changed = replace(case, applied=applied, configurations=[at])
     calibrated = recalibrate(changed)

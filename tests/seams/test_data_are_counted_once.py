@@ -11,7 +11,7 @@ from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.base import Observations
 from rtcal.support.errors import DataError
-from tests.conftest import in_hall
+from tests.conftest import in_hall, measurement_of
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +36,7 @@ def test_every_position(room_and_times, change):
 
     def names(of: rt.Room, change: float) -> tuple[str, ...]:
         values = {"edt": np.stack([times, 1.1 * times]) + change}
-        measured = rt.Measurement(
-            centre_frequencies=room.centre_frequencies, values=values, pairs=pairs
-        )
+        measured = measurement_of(room.centre_frequencies, pairs, **values)
         return fingerprints(of, Observations.of_measurement(measured, ("edt",), pairs), measured)
 
     record = rt.acoustics.room.CalibrationRecord(
@@ -76,10 +74,10 @@ PLACES = [("S 1", f"R,{i}") for i in range(4)]
 
 def at_places(room: rt.Room, times: np.ndarray, kept: list[int], **scale: float) -> rt.Measurement:
     spread = times * (1 + 0.03 * np.arange(len(PLACES)))[:, np.newaxis]
-    return rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values={name: (factor * spread)[kept] for name, factor in scale.items()},
-        pairs=[PLACES[i] for i in kept],
+    return measurement_of(
+        room.centre_frequencies,
+        [PLACES[i] for i in kept],
+        **{name: (factor * spread)[kept] for name, factor in scale.items()},
     )
 
 
@@ -117,11 +115,7 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
     room, times = room_and_times
     pairs = [("S1", "R1"), ("S1", "R2")]
     t20 = np.stack([times, 1.1 * times])
-    heard = rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values={"t20": t20, "t30": factor * t20},
-        pairs=pairs,
-    )
+    heard = measurement_of(room.centre_frequencies, pairs, t20=t20, t30=factor * t20)
     match = ("t20", "t30")
     data = pairs_to_match(room, heard, match, Observations.of_measurement(heard, match, pairs))
     assert any("leave one out of match" in note for note in data.notes) == said
@@ -138,10 +132,8 @@ def test_a_fit_refuses_them_before_it_simulates(match, monkeypatch):
     hall = rt.datasets.halls.corridor()
     tracer = in_hall(hall, n_paths=800)
     times = 1 + np.arange(len(tracer.pairs) * hall.room.n_bands).reshape(-1, hall.room.n_bands) / 9
-    measured = rt.Measurement(
-        centre_frequencies=hall.room.centre_frequencies,
-        values={"t20": times, "edt": 1.1 * times},
-        pairs=tracer.pairs,
+    measured = measurement_of(
+        hall.room.centre_frequencies, tracer.pairs, t20=times, edt=1.1 * times
     )
     once = rt.calibrate(hall.room, measured, unreachable="nearest").room
     used = replace(tracer, room=once)
@@ -161,10 +153,10 @@ def test_a_position_that_is_given_twice_is_said_in_python(bands, equal):
         alpha=room.alpha[:, rows], sigma=room.sigma[:, rows], centre_frequencies=bands
     )
     times = measured.reverberation_time[rows]
-    heard = rt.Measurement(
-        centre_frequencies=bands,
-        values={"t20": np.stack([times, times if equal else (times * 1.03).round(2)])},
-        pairs=[("S1", "R1"), ("S1", "R2")],
+    heard = measurement_of(
+        bands,
+        [("S1", "R1"), ("S1", "R2")],
+        t20=np.stack([times, times if equal else (times * 1.03).round(2)]),
     )
     said = "every value of S1 to R2 equals that of S1 to R1"
     quick = equal and len(bands) == 3
@@ -177,10 +169,8 @@ def test_a_position_that_is_given_twice_is_said_in_python(bands, equal):
 @pytest.mark.parametrize(("value", "said"), [(0.31, False), (1.94, True)])
 def test_few_rounded_values_are_equal_by_chance(value, said):
     """Three of 0.3 s with two decimals agree at two positions in one of some 4 cases."""
-    heard = rt.Measurement(
-        centre_frequencies=[500, 1000, 2000],
-        values={"t20": np.full((2, 3), value)},
-        pairs=[("S1", "R1"), ("S1", "R2")],
+    heard = measurement_of(
+        [500, 1000, 2000], [("S1", "R1"), ("S1", "R2")], t20=np.full((2, 3), value)
     )
     assert bool(given_twice(heard)) == said
 

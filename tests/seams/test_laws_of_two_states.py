@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.finder import StatesCase
 from rtcal.finder.finding import Finding
 from rtcal.report.pages import page as page_of_result
-from tests.conftest import also
+from tests.conftest import also, measurement_of
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 
 Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
@@ -40,10 +40,10 @@ def drawn(seed: int) -> Two:
     ]
     if seed % 3 == 0:  # means over positions
         states = [
-            rt.Measurement(
-                centre_frequencies=BANDS,
-                values={"t20": m.values["t20"].mean(axis=0, keepdims=True)},
-                uncertainty={"t20": 0.02 * m.values["t20"].mean(axis=0, keepdims=True)},
+            measurement_of(
+                BANDS,
+                u={"t20": 0.02 * m.values["t20"].mean(axis=0, keepdims=True)},
+                t20=m.values["t20"].mean(axis=0, keepdims=True),
             )
             for m in states
         ]

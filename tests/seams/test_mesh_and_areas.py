@@ -10,7 +10,7 @@ import rtcal as rt
 from rtcal.datasets.examples import example
 from rtcal.io import geometry_files
 from rtcal.support.errors import DataError
-from tests.conftest import run
+from tests.conftest import measurement_of, run
 
 
 @pytest.fixture
@@ -104,9 +104,7 @@ def scene(tmp_path):
     room = rt.Room.from_file(tmp_path / "room.toml")
     pairs = [(s, r) for s in room.scene.sources for r in room.scene.receivers]
     times = np.tile(np.linspace(0.8, 0.6, room.n_bands), (len(pairs), 1))
-    of_pairs = rt.Measurement(
-        centre_frequencies=room.centre_frequencies, values={"t20": times}, pairs=pairs
-    )
+    of_pairs = measurement_of(room.centre_frequencies, pairs, t20=times)
     return room, of_pairs, rt.Measurement.from_values(room.centre_frequencies, t20=times[0])
 
 

@@ -12,6 +12,7 @@ from rtcal.acoustics.observables import MODULATIONS, OBSERVABLES, Observable, ob
 from rtcal.io import impulse_responses, tables
 from rtcal.io.impulse_responses import means, with_uncertainty
 from rtcal.simulators import ImageSource
+from tests.conftest import measurement_of
 from tests.test_positions_input import BOX, IN_BOX
 
 WIDTH = 1e-3
@@ -133,9 +134,7 @@ def test_an_observable_from_outside_is_simulated():
     try:
         assert list(OBSERVABLES).index("l80") == 1 + list(OBSERVABLES).index("c80")
         seen = ImageSource(room=BOX, duration=1.0, **IN_BOX).observe(BOX.alpha, ("t20", "l80"))
-        measured = rt.Measurement(
-            centre_frequencies=[1000], pairs=seen.pairs, values={"l80": seen.natural("l80")}
-        )
+        measured = measurement_of([1000], seen.pairs, l80=seen.natural("l80"))
         assert repr(measured).startswith("<Measurement of L80")
         energy = exponential(10.0)
         by_bin = observables.gradients(energy, WIDTH, ["l80"])[0]

@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from benchmarks.studies.calibrations import interval_coverage
 from rtcal.calibration.posterior import distribution
-from tests.conftest import also, room_of
+from tests.conftest import also, measurement_of, room_of
 
 EYRING = rt.Eyring()
 METHODS = ("mle", "soft")
@@ -21,11 +21,7 @@ def room(n: int, alpha: float = 0.3, sigma: float = 0.02) -> rt.Room:
 
 
 def measured(t: np.ndarray, relative: float) -> rt.Measurement:
-    return rt.Measurement(
-        centre_frequencies=[500, 1000],
-        values={"t20": t[np.newaxis]},
-        uncertainty={"t20": relative * t[np.newaxis]},
-    )
+    return measurement_of([500, 1000], u={"t20": relative * t[np.newaxis]}, t20=t[np.newaxis])
 
 
 def solved(n: int, method: str, relative: float, more: float = 1.05, **prior: float):
@@ -77,13 +73,6 @@ def test_the_interval_holds_its_own_value(method, seed):
     assert ((low >= 0) & (high <= 1)).all()
     other = distribution(result).interval(0.5)
     assert ((other[0] <= result.alpha) & (result.alpha <= other[1])).all()
-
-
-def test_an_unknown_uncertainty_counts_as_none():
-    stated = room(1)
-    result = rt.calibrate(stated, EYRING.time(stated, 1.05 * stated.absorption_area))
-    np.testing.assert_allclose(*result.interval, rtol=1e-15)  # one rounding
-    np.testing.assert_array_equal(result.posterior_sigma, 0)
 
 
 @pytest.mark.long

@@ -8,7 +8,7 @@ from rtcal.finder import PositionsCase
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
-from tests.conftest import room_of
+from tests.conftest import measurement_of, room_of
 
 BANDS = [250.0, 500.0, 1000.0]
 RNG = np.random.default_rng(3)
@@ -28,9 +28,7 @@ def of_names(receivers: list[str], **more: object) -> rt.Measurement:
 
 def once() -> rt.Measurement:
     """Return one measurement with the repeats' mean."""
-    return rt.Measurement(
-        centre_frequencies=BANDS, values={"t20": SWEEPS.mean(axis=0)[None]}, pairs=[("S1", "R1")]
-    )
+    return measurement_of(BANDS, [("S1", "R1")], t20=SWEEPS.mean(axis=0)[None])
 
 
 def the_same(a: rt.Measurement, b: rt.Measurement) -> None:

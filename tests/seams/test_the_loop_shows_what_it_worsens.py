@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import Loop
 from rtcal.report import pages
-from tests.conftest import Commands, also
+from tests.conftest import Commands, also, measurement_of
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class AtPositions(Bent):
 
     def simulate(self, alpha: np.ndarray, *, seed: int = 0) -> rt.Measurement:
         mean = super().simulate(alpha, seed=seed)
-        return rt.Measurement(
-            centre_frequencies=mean.centre_frequencies,
-            values={p: np.vstack([v, v * 1.05]) for p, v in mean.values.items()},
-            pairs=[("S", "R1"), ("S", "R2")],
+        return measurement_of(
+            mean.centre_frequencies,
+            [("S", "R1"), ("S", "R2")],
+            **{p: np.vstack([v, v * 1.05]) for p, v in mean.values.items()},
         )
 
 
@@ -116,9 +116,7 @@ def test_every_position_shows_it_too(cost):
     simulator = AtPositions(room, cost)
     first = simulator.simulate(room.alpha)
     values = {"t20": 0.7 * first.values["t20"], "c80": first.values["c80"]}
-    measured = rt.Measurement(
-        centre_frequencies=room.centre_frequencies, values=values, pairs=first.pairs
-    )
+    measured = measurement_of(room.centre_frequencies, first.pairs, **values)
     result = rt.calibrate_positions(simulator, room, measured, match=("t20", "ts"))
     assert result.parameters == ("t20",)
     assert result.beside.parameters == ("c80",)
