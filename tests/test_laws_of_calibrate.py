@@ -52,49 +52,43 @@ def test_a_calibrated_room_is_not_moved_by_the_t_that_it_has(method, equation, k
         rt.calibrate(first.room, t, method, equation)
 
 
+def without_air(given: rt.Room, size: float) -> rt.Room:
+    still = given.replace(air=None, climate_sigma=(0, 0))
+    return still.replace(volume=size**3 * given.volume, areas=size**2 * given.areas)
+
+
+ORDER, AS_IT_IS = np.array([2, 0, 3, 1]), np.arange(4)
+ALIKE: dict[str, tuple[Any, Any, float, np.ndarray]] = {
+    "nothing": (lambda r: r, lambda r: r, 1.0, AS_IT_IS),
+    "order": (lambda r: r, lambda r: in_order(r, ORDER), 1.0, ORDER),
+    # (k V / T - 4 m V) / S has the same value.
+    "twice": (lambda r: r, lambda r: r.replace(volume=190, areas=2 * r.areas), 1.0, AS_IT_IS),
+    "size": (lambda r: without_air(r, 1.0), lambda r: without_air(r, 2.3), 2.3, AS_IT_IS),
+}
+"""What makes of a room one that is as absorbing; how many times as long its T is; its materials."""
+
+
+@pytest.mark.parametrize("law", ALIKE)
 @pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_twice_is_the_same_bits_and_the_order_of_materials_moves_nothing(method, equation, kind):
-    given = room(2, **STATED[kind])
-    t = equation.reverberation_time(given) * np.array([0.8, 1.3, 1.1, 0.9, 1.2])
-    first, second = (rt.calibrate(given, t, method, equation) for _ in range(2))
-    assert first.alpha.tobytes() == second.alpha.tobytes()
-    assert first.posterior_sigma.tobytes() == second.posterior_sigma.tobytes()
-    order = np.array([2, 0, 3, 1])
-    other = in_order(given, order)
-    permuted = rt.calibrate(other, t, method, equation)
-    np.testing.assert_allclose(permuted.alpha, first.alpha[order], rtol=0, atol=1e-10)
-    sigma = first.posterior_sigma[order]
-    np.testing.assert_allclose(permuted.posterior_sigma, sigma, rtol=1e-7, atol=1e-12)
-    np.testing.assert_allclose(permuted.plausibility.z, first.plausibility.z, rtol=0, atol=1e-8)
-    assert permuted.verdict.level == first.verdict.level
-
-
-@pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_twice_the_areas_and_the_volume_is_the_same_room(method, equation, kind):
-    """(k V / T - 4 m V) / S has the same value, and so has each coefficient."""
-    given = room(3, **STATED[kind])
-    t = equation.reverberation_time(given) * np.array([0.9, 1.2, 0.8, 1.3, 1.0])
-    double = given.replace(volume=2 * given.volume, areas=2 * given.areas)
-    first, second = (rt.calibrate(r, t, method, equation) for r in (given, double))
-    np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(second.plausibility.q, first.plausibility.q, rtol=1e-6)
-    assert second.verdict.level == first.verdict.level
-
-
-@pytest.mark.parametrize(("method", "equation", "kind"), cases())
-def test_a_room_of_another_size_without_air_has_t_in_proportion(method, equation, kind):
-    """T of the same coefficients grows with the length, and that is all that a calibration sees."""
-    given = room(4, **STATED[kind]).replace(air=None, climate_sigma=(0, 0))
-    larger = given.replace(volume=2.3**3 * given.volume, areas=2.3**2 * given.areas)
-    t = equation.reverberation_time(given) * np.array([1.1, 0.8, 1.3, 0.9, 1.2])
-    assert equation.reverberation_time(larger) == pytest.approx(
-        2.3 * equation.reverberation_time(given), rel=1e-12
+def test_rooms_that_are_alike_have_one_answer(law, method, equation, kind):
+    first, second, longer, order = ALIKE[law]
+    rooms = [of(room(2, **STATED[kind])) for of in (first, second)]
+    stated = [equation.reverberation_time(r) for r in rooms]
+    assert stated[1] == pytest.approx(longer * stated[0], rel=1e-12)
+    off = np.array([0.8, 1.3, 1.1, 0.9, 1.2])
+    one, other = (
+        rt.calibrate(r, t, method, equation)
+        for r, t in zip(rooms, (stated[0] * off, longer * stated[0] * off), strict=True)
     )
-    first, second = (
-        rt.calibrate(r, s, method, equation) for r, s in ((given, t), (larger, 2.3 * t))
-    )
-    np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(second.posterior_sigma, first.posterior_sigma, rtol=1e-5, atol=1e-9)
+    if law == "nothing":  # the same bits
+        assert one.alpha.tobytes() == other.alpha.tobytes()
+        assert one.posterior_sigma.tobytes() == other.posterior_sigma.tobytes()
+    np.testing.assert_allclose(other.alpha, one.alpha[order], rtol=0, atol=1e-8)
+    sigma = one.posterior_sigma[order]
+    np.testing.assert_allclose(other.posterior_sigma, sigma, rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(other.plausibility.z, one.plausibility.z, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(other.plausibility.q, one.plausibility.q, rtol=1e-6)
+    assert other.verdict.level == one.verdict.level
 
 
 @pytest.mark.parametrize("kind", [{}, {"common_alpha_sigma": 0.15}])
