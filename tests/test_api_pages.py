@@ -5,7 +5,6 @@ import re
 from collections import Counter
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,16 +20,16 @@ import mkdocs_public  # noqa: E402
 
 
 @cache
-def package() -> Any:
+def package():
     extensions = griffe.load_extensions(mkdocs_public.PublicNames)
     return griffe.load("rtcal", extensions=extensions, docstring_parser="numpy")
 
 
-def entries() -> list[str]:
+def entries():
     return re.findall(r"^::: rtcal\.(\S+)$", "\n".join(mkdocs_public.API), re.M)
 
 
-def shown(entry: str) -> list[str]:
+def shown(entry):
     """Return the names at the head of modules that an entry of a page shows."""
     entered = package()[entry]
     one = entered.final_target if entered.is_alias else entered

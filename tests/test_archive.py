@@ -14,7 +14,7 @@ from tests.conftest import also
 SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
 
 
-def small() -> tuple[list[RoomData], np.ndarray, np.ndarray, np.ndarray]:
+def small():
     rng = np.random.default_rng(0)
     mu = rng.uniform(0.1, 0.5, (3, 2))
     sigma = 0.3 * mu
@@ -53,7 +53,7 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra():
     entry = []  # of the entries per unknown
     root = np.linalg.cholesky(rho)
 
-    def of(room: int, values: np.ndarray) -> np.ndarray:
+    def of(room, values):
         return np.concatenate([(values if r == room else 0 * d.target).ravel() for r, d in each])
 
     each = list(enumerate(rooms))
@@ -124,7 +124,7 @@ def test_how_a_room_was_calibrated_does_not_matter(rooms, stated):
 
     times = [short, *(r.measured for r in rooms[1:])]
 
-    def learnt(method: str) -> rt.archive.Archive:
+    def learnt(method):
         each = zip(priors, times, strict=True)
         return rt.learn([rt.calibrate(p, t, method, unreachable="nearest") for p, t in each])
 

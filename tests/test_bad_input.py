@@ -150,7 +150,7 @@ def run(tmp_path, monkeypatch, capsys):
     """Run the command in an empty folder, in this process."""
     monkeypatch.chdir(tmp_path)
 
-    def call(room: str | bytes | None, times: str | bytes | None, *more: str) -> Done:
+    def call(room, times, *more):
         for name, content in (("room.toml", room), ("t.csv", times)):
             if content is not None:
                 raw = content if isinstance(content, bytes) else content.encode()
@@ -198,7 +198,7 @@ FILES = {  # every kind of file that commands read, by the word that stands for 
 }
 
 
-def stated() -> None:
+def stated():
     Path("one.toml").write_text(ROOM)
     Path("one.csv").write_text(TIMES)
     Path("variants.toml").write_text('[[variant]]\nname = "as it is"\n')
@@ -232,7 +232,7 @@ def test_a_file_of_another_kind_is_called_so_by_every_command(taken, run, capsys
     stated()
     Path("case.json").write_text('{"configuration": []}')
 
-    def said(arguments: list[str]) -> str:
+    def said(arguments):
         with pytest.raises(SystemExit) as stopped:
             cli.main(arguments)
         assert stopped.value.code in (0, 2)

@@ -27,7 +27,7 @@ def absorption(values, frequencies, wanted):
     return bands.Conversion(frequencies, wanted).mean(np.asarray(values))
 
 
-def room_in_thirds() -> rt.Room:
+def room_in_thirds():
     shape = (2, len(THIRDS))
     rng = np.random.default_rng(3)
     alpha, sigma = rng.uniform(0.05, 0.6, shape), rng.uniform(0.01, 0.1, shape)

@@ -22,14 +22,14 @@ FT = 0.3048
 SIX = [125, 250, 500, 1000, 2000, 4000]
 
 
-def box(sides: str, floor: str, ceiling: str, walls: str, *more: str) -> list[str]:
+def box(sides, floor, ceiling, walls, *more):
     return ["--dimensions", sides, "--floor", floor, "--ceiling", ceiling, "--walls", walls, *more]
 
 
 Question = tuple[list[str], list[str], float, dict[float, float]]
 
 
-def question(row: str) -> tuple[str, Question]:
+def question(row):
     """Return a row's name; the options of the room and of T, its volume, and its T by band."""
     name, *described, more, measured, volume, times = (cell.strip() for cell in row.split("|"))
     kind, value = measured.split(" ", 1)
@@ -42,7 +42,7 @@ def question(row: str) -> tuple[str, Question]:
 
 ASKED = Path(__file__).with_name("asked.txt").read_text(encoding="utf-8")
 ROWS = ASKED.replace("\\\n", "").strip().splitlines()
-QUESTIONS: dict[str, Question] = dict(question(row) for row in ROWS if not row.startswith("#"))
+QUESTIONS = dict(question(row) for row in ROWS if not row.startswith("#"))
 
 
 @pytest.mark.parametrize("asked", QUESTIONS)
@@ -301,7 +301,7 @@ def test_what_lies_on_two_materials_leaves_both():
     bare = [rt.Surface("a", "floor", 16), rt.Surface("b", "wall", 70)]
     lying = [rt.Surface("a: rug", "rug", 4), rt.Surface("b: rug", "rug", 4)]
 
-    def room(*surfaces: rt.Surface) -> rt.Room:
+    def room(*surfaces):
         return rt.Room.from_surfaces(materials=materials, surfaces=[*bare, *surfaces], **stated)
 
     left = changed(room(*lying), Change(remove="rug", area=4))

@@ -1,7 +1,6 @@
 """Two real rooms in third-octaves: a golden test of the equations, and calibration end to end."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +8,10 @@ import pytest
 import rtcal as rt
 
 
-def bras(folder: Path, name: str, which: str) -> tuple[rt.Room, np.ndarray]:
+def bras(folder, name, which):
     """The room with its ``initial`` or ``fitted`` coefficients, and its measured T20."""
 
-    def rows(table: str, **stated: str) -> list[dict[str, str]]:
+    def rows(table, **stated):
         with (folder / "bras" / f"{table}.csv").open(newline="", encoding="utf-8") as stream:
             return [
                 r for r in csv.DictReader(stream) if r.items() >= {"room": name, **stated}.items()

@@ -7,8 +7,6 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -17,7 +15,7 @@ from rtcal.support.errors import DataError
 from tests.corpus import book
 
 
-def workbook(sheet: str, **others: bytes) -> bytes:
+def workbook(sheet, **others):
     """A workbook of one sheet with this XML below its root."""
     space = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
     with zipfile.ZipFile(io.BytesIO(book({"T": [[1]]}))) as good:
@@ -30,11 +28,11 @@ def workbook(sheet: str, **others: bytes) -> bytes:
     return stream.getvalue()
 
 
-def cell(place: str) -> str:
+def cell(place):
     return f'<c r="{place}"><v>1</v></c>'
 
 
-def instances(levels: int) -> bytes:
+def instances(levels):
     """A COLLADA file of one tetrahedron, ten times in a node that stands ten times in the next."""
     nodes = '<node id="k0"><instance_geometry url="#g"/></node>' + "".join(
         f'<node id="k{k}">{f"""<instance_node url="#k{k - 1}"/>""" * 10}</node>'
@@ -53,7 +51,7 @@ def instances(levels: int) -> bytes:
 """.encode()
 
 
-HOSTILE: dict[str, Callable[[], bytes]] = {
+HOSTILE = {
     "instances.dae": lambda: instances(9),
     "merged.xlsx": lambda: workbook(
         f'<sheetData><row r="1">{cell("A1")}</row></sheetData><mergeCells count="1"><mergeCell '
@@ -103,7 +101,7 @@ print(json.dumps({"rows": rows, "megabytes": peak - before}))
 """
 
 
-def sofa_of(path: Path, samples: int) -> None:
+def sofa_of(path, samples):
     """A SOFA file that declares responses and holds none: they compress to nothing."""
     netcdf = pytest.importorskip("netCDF4")
     with netcdf.Dataset(path, "w") as data:

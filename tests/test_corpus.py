@@ -1,7 +1,5 @@
 """Files with the oddities of real exports: each gives what it means, or one line that says why not."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from rtcal.io import bras, catt, library, obj, odeon, pyroomacoustics, tables
 from rtcal.support.errors import DataError
 from tests import corpus
 
-READERS: dict[str, Any] = {
+READERS = {
     "bras": bras,
     "catt": catt,
     "library": library,
@@ -62,7 +60,7 @@ def test_each_file_gives_what_it_means(case, tmp_path):
         assert copy.read_bytes() == case.content
 
 
-def values(measured: rt.Measurement) -> dict[tuple[object, ...], float]:
+def values(measured):
     """All values of a measurement by source, receiver, parameter and band."""
     return {
         (*pair, parameter, f): float(value)

@@ -1,7 +1,6 @@
 """A corrected room in the rest of the package: intervals, files, equations, simulators, the loop."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +70,7 @@ SIDES = (5.0, 7.0, 3.0)
 WALLS = dict.fromkeys(SHOEBOX_WALLS, "walls") | {"floor": "floor"}
 
 
-def boxed(applied: AppliedEffect) -> Case:
+def boxed(applied):
     """A box of two materials, with an effect."""
     room = rt.Room.from_geometry(
         Polyhedron.shoebox(SIDES, WALLS),
@@ -93,7 +92,7 @@ class Drawn(rt.simulators.External):
     geometry: Polyhedron
 
 
-def drawn(height: float) -> Callable[[rt.Room], Simulator]:
+def drawn(height):
     """Return what builds a simulator with the box's geometry at this height."""
     geometry = Polyhedron.shoebox((*SIDES[:2], height), WALLS)
     return lambda room: Drawn(

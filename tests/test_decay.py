@@ -12,7 +12,7 @@ from rtcal.acoustics.observables import observable
 from rtcal.support.errors import DataError, TooShortError
 
 
-def exponential(t: float, width: float = 1e-4, length: float = 1.5) -> np.ndarray:
+def exponential(t, width=0.0001, length=1.5):
     """Energy per bin of a pure exponential decay, ``length`` reverberation times long."""
     return 10 ** (-6 * np.arange(round(length * t / width)) * width / t)
 

@@ -19,7 +19,7 @@ PANEL = rt.Material("panel", [0.5, 0.7, 0.8], [0.1] * 3)
 BASS = rt.Material("bass", [0.6, 0.4, 0.2], [0.1] * 3)
 
 
-def a_room() -> rt.Room:
+def a_room():
     materials = {
         "wall": (100, [0.06, 0.05, 0.05], 0.02),
         "floor": (60, [0.05, 0.06, 0.08], 0.02),
@@ -28,7 +28,7 @@ def a_room() -> rt.Room:
     return room_of(materials, BANDS, 180, air=rt.Air(20, 50))
 
 
-def known(room: rt.Room | None = None):
+def known(room=None):
     room = room or a_room()
     return rt.calibrate(room, 0.95 * rt.Eyring().reverberation_time(room))
 
@@ -40,7 +40,7 @@ TREATMENTS = (
 TARGET = Target([0.4] * 3, [0.8] * 3)
 
 
-def a_shop(one_sided: bool):
+def a_shop(one_sided):
     """A small room with panels on two surfaces and free pieces; Sabine's equation."""
     room = room_of(
         {

@@ -10,7 +10,6 @@ from scipy.special import ndtr, ndtri
 
 import rtcal as rt
 from rtcal.prediction import Assumptions, Change, changed
-from rtcal.support.types import Array
 from tests.conftest import also, measurement_of, room_of
 
 BANDS = np.array([250.0, 1000.0])
@@ -20,7 +19,7 @@ U_T = 0.05
 """Relative standard uncertainty of the measured T."""
 
 
-def a_room(seed: int):
+def a_room(seed):
     """A calibrated room, some of whose coefficients are near 0 beside what is not known of them."""
     rng = np.random.default_rng([57, 40, seed])
     x, y, z = np.exp(rng.uniform(np.log(3), np.log(8))) * np.array([1.4, 1.1, 0.65])
@@ -35,26 +34,22 @@ def a_room(seed: int):
     return rng, rt.calibrate(room, measured, method=method, unreachable="nearest"), t
 
 
-def some_changes(rng: np.random.Generator, room: rt.Room) -> list[Change]:
+def some_changes(rng, room):
     """Panels on the ceiling, and in half of the rooms screens that stand free."""
     panel = rt.Material("panel", rng.uniform(0.3, 0.9, 2), [0.1] * 2)
     screen = rt.Material("screen", rng.uniform(0.1, 0.6, 2), [0.05] * 2)
-    put: list[Change] = [
-        Change(cover="ceiling", by=panel, area=room.areas[1] * rng.uniform(0.2, 0.9))
-    ]
+    put = [Change(cover="ceiling", by=panel, area=room.areas[1] * rng.uniform(0.2, 0.9))]
     if rng.random() < 0.5:
         put.append(Change(add=screen, area=room.areas[0] * rng.uniform(0.05, 0.3)))
     return put
 
 
-def cut_normal(
-    rng: np.random.Generator, n: int, mean: float, sigma: float, low: float, high: float
-) -> Array:
+def cut_normal(rng, n, mean, sigma, low, high):
     ends = ndtr((low - mean) / sigma), ndtr((high - mean) / sigma)
     return np.asarray(mean + sigma * ndtri(rng.uniform(*ends, n)))
 
 
-def log_time(room: rt.Room, facing: Array, absorption: list[Array], u: Array, band: int) -> Array:
+def log_time(room, facing, absorption, u, band):
     """ln T of draws: u of the way through Eyring's, Arau-Puchades' and Fitzroy's T, as they rise.
 
     ``facing`` (n_materials, 3) are areas across each axis; what stands free is spread over all.
@@ -65,7 +60,7 @@ def log_time(room: rt.Room, facing: Array, absorption: list[Array], u: Array, ba
     air = 4 * room.air_attenuation[band] * room.volume
     whole = room.total_area
 
-    def of(area: float, absorbed: Array) -> Array:
+    def of(area, absorbed):
         return np.asarray(-whole * np.log1p(-np.minimum(absorbed / area, 0.999)) + air)
 
     by_axis = [sum(s * a for s, a in zip(column, absorption, strict=True)) for column in spread.T]
@@ -81,7 +76,7 @@ def log_time(room: rt.Room, facing: Array, absorption: list[Array], u: Array, ba
     return np.asarray(np.log(constant / even) + added)
 
 
-def sampled(n: int, result, t: Array, changes: list[Change], band: int) -> tuple[Array, Array]:
+def sampled(n, result, t, changes, band):
     """Return n draws of T after changes in s, and their weights, (n,) each."""
     assumed, room, after = Assumptions(), result.prior, changed(result.prior, changes)
     rng = np.random.default_rng(band)
@@ -111,7 +106,7 @@ def sampled(n: int, result, t: Array, changes: list[Change], band: int) -> tuple
         at = np.interp(area, (edges[1:] + edges[:-1]) / 2, smooth)
         log_weight -= np.log(np.maximum(at, 1e-4 * smooth.max()))
 
-    def of(state: rt.Room) -> Array:
+    def of(state):
         facing = np.array(
             [
                 np.multiply(AXES.get(m, (0, 0, 0)), s)

@@ -1,7 +1,6 @@
 """The directions of a room's surfaces, and what a search says where nothing tells them."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ WALLS = [0.03, 0.03, 0.03, 0.04]
 AXES = [[0, 0, 1], [0, 0, 1], [X / (X + Y), Y / (X + Y), 0]]
 
 
-def room(names: list[str] | None = None, **stated: Any) -> rt.Room:
+def room(names=None, **stated):
     """A room with an absorbing floor and ceiling and hard walls."""
     alpha = np.array([FLOOR, CEILING, WALLS])
     return rt.Room(
@@ -40,7 +39,7 @@ def room(names: list[str] | None = None, **stated: Any) -> rt.Room:
     )
 
 
-def surfaces(names: list[str], axes: str = "") -> list[Surface]:
+def surfaces(names, axes=""):
     of_each = [("m1", Z), ("m2", Z), ("m3", 2 * X), ("m3", 2 * Y)]
     return [
         Surface(name, material, area, axis or None)
@@ -111,7 +110,7 @@ def test_names_that_say_floor_ceiling_or_wall(name, kind):
     assert kind_of(name) == kind
 
 
-def a_room(names, areas, **more) -> rt.Room:
+def a_room(names, areas, **more):
     materials = {name: (area, 0.1, 0.02) for name, area in zip(names, areas, strict=True)}
     return room_of(materials, [1000], 60, **more)
 

@@ -15,7 +15,6 @@ from rtcal.finder import Absorber, Case, Configuration, evidence, plan, recalibr
 from rtcal.finder.claim import MISTAKE
 from rtcal.finder.effects import (
     CoupledDecay,
-    Effect,
     NoiseFloor,
     NonDiffuse,
     Opening,
@@ -29,7 +28,6 @@ from rtcal.finder.evidence import bounded, leading_products, student, with_colum
 from rtcal.finder.means import problem as problem_of_means
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.problem import (
-    MeansHypotheses,
     MeansProblem,
     estimate_discrepancy,
     evaluate,
@@ -49,7 +47,7 @@ AREAS = np.array([60.0, 60.0, 30.0, 50.0])
 ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
 
 
-def made(**changes: object) -> RoomState:
+def made(**changes):
     base = RoomState(
         volume=300.0,
         areas=AREAS,
@@ -62,7 +60,7 @@ def made(**changes: object) -> RoomState:
     return replace(base, **changes)
 
 
-def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
+def case_with(t20, **more):
     sigma = 0.02 + 0.05 * ALPHA
     materials = dict(zip("abcd", zip(AREAS, ALPHA, sigma, strict=True), strict=True))
     room = room_of(materials, F, 300, name="hall", band_correlation=0.7, air=rt.Air(20, 50))
@@ -73,7 +71,7 @@ def case_with(t20: np.ndarray, **more: np.ndarray) -> Case:
     return Case(room=room, configurations=[Configuration(name="as built", measured=measured)])
 
 
-def controls_of(case: Case, spread: float = 0.02) -> list[ControlRooms]:
+def controls_of(case, spread=0.02):
     """Reference rooms without an engine: what the model errs by, drawn."""
     rng = np.random.default_rng(1)
     shape = (40, len(case.configurations), 5, case.room.n_bands)
@@ -81,7 +79,7 @@ def controls_of(case: Case, spread: float = 0.02) -> list[ControlRooms]:
     return [ControlRooms(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
 
 
-def alpha_covariance(predicted: MeansHypotheses, i: int) -> np.ndarray:
+def alpha_covariance(predicted, i):
     """J Sigma J' of one hypothesis, over all features raveled."""
     slopes = predicted.slopes[i]
     count, kinds, n = slopes.shape
@@ -173,13 +171,13 @@ def test_noise_lengthens_what_is_read_low_in_the_decay():
 def test_porous_is_miki_s_layer():
     d, sigma = 0.05, 12e3
 
-    def alpha(f: float) -> float:
+    def alpha(f):
         x = f / sigma
         z = 1 + 0.0699 * x**-0.632 - 0.1071j * x**-0.632
         k = 2 * np.pi * f / 343.2 * (1 + 0.1093 * x**-0.618 - 0.1597j * x**-0.618)
         z = -1j * z / np.tan(k * d)
 
-        def absorbed(a: float) -> float:
+        def absorbed(a):
             r = (z * np.cos(a) - 1) / (z * np.cos(a) + 1)
             return float((1 - abs(r) ** 2) * np.sin(2 * a))
 
@@ -293,7 +291,7 @@ def test_the_prior_s_covariance_is_what_drawn_coefficients_give():
     np.testing.assert_allclose(np.cov(drawn.T) / small**2, variance - common @ common.T, rtol=0.12)
 
 
-def opened(area: float = 15.0) -> Case:
+def opened(area=15.0):
     room = case_with(np.ones(7)).room
     state = made(air=room.air_attenuation, speed_of_sound=room.speed_of_sound)
     times = 6 * np.log(10) / state.covered(area, np.ones(7)).rate
@@ -368,7 +366,7 @@ class Organ(Absorber):
 
     name: ClassVar[str] = "organ"
 
-    def spectrum(self, frequencies: np.ndarray, parameters: object) -> np.ndarray:
+    def spectrum(self, frequencies, parameters):
         return np.interp(frequencies, [125, 500, 8000], [0.6, 0.4, 0.2])
 
 
@@ -382,7 +380,7 @@ def test_the_plan_knows_what_cannot_be_distinguished():
     json.dumps(made_plan.to_dict())
 
 
-def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Finding:
+def absorbing_room(share, *, alike, shape):
     """An absorber on a share of all surfaces, or its median factor of T in every band."""
     room = opened().room
     soft = np.array([0.1, 0.25, 0.6, 0.9, 0.95, 0.95, 0.95])
@@ -454,7 +452,7 @@ def test_a_case_too_large_is_refused_before_the_work():
 # Gauss-Newton steps of a case's calibration where the model's T is far from linear in alpha
 
 
-def millington_case(time: float) -> rt.finder.Case:
+def millington_case(time):
     alpha, areas = (0.22, 0.07, 0.68, 0.15, 0.04, 0.06), (40.0, 40.0, 30.0, 30.0, 48.0, 48.0)
     one_soft = {n: (s, a, 0.2 * a) for n, s, a in zip("abcdef", areas, alpha, strict=True)}
     room = room_of(one_soft, [8000], 240, air=rt.Air(20, 50))
@@ -496,7 +494,7 @@ def test_a_band_beyond_reach_spoils_no_other():
 
 # A size is sought until the evidence falls or physics ends, and a doubt about it leaves the family
 
-FAR: list[tuple[Effect, dict[str, float]]] = [
+FAR = [
     (Opening(), {"area": 75.0}),
     (Porous(), {"area": 75.0, "thickness": 0.06, "flow_resistivity": 12e3}),
     (NonDiffuse(), {"scattering": 0.003}),
@@ -506,7 +504,7 @@ FAR: list[tuple[Effect, dict[str, float]]] = [
 """Effects with a size beyond their grids."""
 
 
-def case_of(effect: Effect, theta: dict[str, float]) -> Case:
+def case_of(effect, theta):
     """Return a case whose measurement is the model's own with the effect in it.
 
     Its walls along x hardly absorb, so that a lack of scattering bends the decay.

@@ -22,17 +22,17 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 pytestmark = pytest.mark.skipif(not PAGES[0].exists(), reason="needs the source tree")
 
 
-def blocks(page: Path, language: str) -> list[str]:
+def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
 
 
-def shown_after(block: str, statement: ast.stmt) -> str:
+def shown_after(block, statement):
     """Return the comment behind a statement of a block, on its last line."""
     line = block.splitlines()[statement.end_lineno - 1].encode()
     return line[statement.end_col_offset :].decode().strip().removeprefix("#").strip()
 
 
-def run_and_compare(block: str, where: str, names: dict[str, object]) -> None:
+def run_and_compare(block, where, names):
     """Run a block; each top-level print has to print the comment behind it, whole.
 
     The comment ``# ...`` says that the output is not shown.
@@ -82,7 +82,7 @@ LONG = {
 def test_python_blocks_run_and_print_what_they_say(page, tmp_path, monkeypatch):
     """The blocks of a page run one after the other, in one namespace and an empty folder."""
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names = {}
     text = page.read_text(encoding="utf-8")
     for name, content in re.findall(r'^```\w+ title="([^"\n]+)"\n(.*?)^```', text, re.M | re.S):
         Path(name).write_text(content, encoding="utf-8")
@@ -159,7 +159,7 @@ def test_every_public_name_has_an_example_that_runs():
     assert {n.rpartition(".")[2] for n in names} >= {*NEEDS_NO_EXAMPLE}
 
 
-def _mentioned() -> set[str]:
+def _mentioned():
     """Classes that are never called by name: the page says which line of its example returns one."""
     pages = (ROOT / "docs" / "api").glob("*.md")
     return {w for page in pages for w in re.findall(r"`(\w+)`", page.read_text(encoding="utf-8"))}

@@ -2,12 +2,10 @@
 
 import re
 from collections import Counter
-from typing import Any
 
 import numpy as np
 import pytest
 
-import rtcal as rt
 from benchmarks import drawn_tables
 from rtcal.io import library, tables
 from rtcal.support.errors import DataError
@@ -22,7 +20,7 @@ LEAST_READ = {"materials": 0.75, "values": 0.75, "modes": 0.6}
     "seeds", [range(7000, 7060), pytest.param(range(500), marks=pytest.mark.long)], ids=len
 )
 def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(tmp_path, seeds):
-    found: dict[str, Counter[str]] = {kind: Counter() for kind in LEAST_READ}
+    found = {kind: Counter() for kind in LEAST_READ}
     for seed in seeds:
         what, why = drawn_tables.judged(seed, tmp_path)
         found[drawn_tables.example(seed).kind][what] += 1
@@ -35,10 +33,10 @@ def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(tmp_
 TIMES = {("R1", 500): 1.62, ("R1", 1000): 1.41, ("R2", 500): 1.6, ("R2", 1000): 2.0}
 
 
-def written(mark: str, whole: bool) -> dict[str, list[list[str]]]:
+def written(mark, whole):
     """`TIMES` in every layout; a ``whole`` number has no decimal."""
 
-    def text(value: float) -> str:
+    def text(value):
         number = f"{value:.12g}"
         return (number if whole or "." in number else f"{number}.0").replace(".", mark)
 
@@ -78,7 +76,7 @@ def written(mark: str, whole: bool) -> dict[str, list[list[str]]]:
     }
 
 
-def read_or_refused(content: bytes, **options: Any) -> tuple[rt.Measurement | None, str]:
+def read_or_refused(content, **options):
     try:
         return tables.parse(content, **options).measurement, ""
     except DataError as error:
@@ -122,7 +120,7 @@ OF_REFUSALS = {
 
 def test_what_a_refusal_proposes_is_read_when_it_is_copied(tmp_path):
     """Proposals are tried before they are printed; what is not known stands in them as ?."""
-    files: list[tuple[Any, str, bytes, dict[str, Any]]] = [
+    files = [
         (tables if c.reader == "tables" else library, f"{i}.csv", c.content, c.options)
         for i, c in enumerate(CASES)
         if c.reader in ("tables", "library")

@@ -11,7 +11,7 @@ C = 343.0  # the examples' speed of sound, given explicitly
 LINEAR = [rt.Sabine(), rt.Eyring(), rt.Kuttruff()]
 
 
-def room_of(volume, surfaces, bands=(1000,), air=None) -> rt.Room:
+def room_of(volume, surfaces, bands=(1000,), air=None):
     """``surfaces``: (area, alpha or one a band, axis)."""
     alphas = [np.broadcast_to(a, len(bands)).tolist() for _, a, _ in surfaces]
     names = [f"m{i}" for i in range(len(surfaces))]
@@ -106,7 +106,7 @@ ALL = [rt.Sabine(), rt.Eyring(), rt.Kuttruff(), rt.Millington(), rt.Fitzroy(), r
 
 
 @st.composite
-def rooms(draw) -> rt.Room:
+def rooms(draw):
     surfaces = [(draw(st.floats(1, 300)), draw(alphas), axis) for axis in ("x", "y", "z", "x", "z")]
     return room_of(draw(st.floats(20, 5000)), surfaces, air=rt.Air(20, draw(st.floats(10, 90))))
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +10,12 @@ import pytest
 import rtcal as rt
 from rtcal.calibration import exact
 from rtcal.calibration.qp import System, certify, with_errors
-from rtcal.calibration.result import JointResult
 from rtcal.support.errors import SolverError
 from tests import coupled, rational
 from tests.conftest import also, room_of
 
 
-def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]]:
+def answers(solver="clarabel"):
     """Answers and their exact optima, without problems that have no accepted answer (0.1 %)."""
     for seed in range(30):
         with contextlib.suppress(SolverError):
@@ -69,7 +67,7 @@ def test_a_wrong_answer_has_large_residuals_and_a_bound_that_holds(cr2):
         assert (wrong.alpha_error_bound >= moved).all()
 
 
-def extreme_room(seed: int) -> tuple[rt.Room, np.ndarray]:
+def extreme_room(seed):
     """Return a room and a T in s that some coefficients within its bounds give; some bands have none.
 
     Up to 200 materials, areas from 0.1 to 1,000 m², standard deviations of 1e-8 among ordinary ones.

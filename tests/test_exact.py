@@ -9,21 +9,21 @@ import pytest
 from rtcal.calibration import exact, exact_kernel
 from rtcal.support.errors import DataError
 from tests import rational
-from tests.problems import Problem, problems
+from tests.problems import problems
 
 EPS = np.finfo(float).eps
 COUNTS = [500, pytest.param(5000, marks=pytest.mark.long)]
 STATUS = {"below": exact.BELOW, "above": exact.ABOVE}
 
 
-def by_size(found: list[Problem]) -> dict[int, list[int]]:
-    sizes: dict[int, list[int]] = {}
+def by_size(found):
+    sizes = {}
     for i, p in enumerate(found):
         sizes.setdefault(p.mu.size, []).append(i)
     return sizes
 
 
-def end_distance(p: Problem) -> float:
+def end_distance(p):
     """Return the distance of b outside the ends, exactly, over the tolerance that makes it the end."""
     held = p.sigma == 0
     low, high = (
@@ -41,7 +41,7 @@ def end_distance(p: Problem) -> float:
 
 
 @functools.cache
-def truth(count: int) -> tuple[list[Problem], list]:
+def truth(count):
     found = list(problems(count))
     return found, [
         rational.solve(p.mu.tolist(), p.sigma.tolist(), p.areas.tolist(), p.target) for p in found
@@ -86,7 +86,7 @@ def test_against_rational_arithmetic(count):
 
 
 @functools.cache
-def variants() -> list[tuple[tuple, dict, list]]:
+def variants():
     """Arguments of `exact.solve`, its options, and the right answer: bounds, soft match."""
     rng = np.random.default_rng(5)
     found = []

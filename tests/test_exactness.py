@@ -33,18 +33,18 @@ class Shifted(rt.Sabine):
         return np.ones_like(t)
 
 
-def as_room(p: Problem) -> rt.Room:
+def as_room(p):
     each = zip(p.areas, p.mu, p.sigma, strict=True)
     return room_of({f"m{i}": of for i, of in enumerate(each)}, [1000])
 
 
 @functools.cache
-def compiled(n: int):
+def compiled(n):
     return preset("mle").build(as_room(Problem("", *np.ones((3, n)), 0.5)), Shifted())
 
 
 @functools.cache
-def cases(count: int) -> list[tuple[Problem, float, object]]:
+def cases(count):
     """The problems, b as the equation gives it, and the exact answer."""
     found = []
     for p in problems(count):
@@ -54,14 +54,14 @@ def cases(count: int) -> list[tuple[Problem, float, object]]:
     return found
 
 
-def is_end(p: Problem, t: float) -> bool:
+def is_end(p, t):
     """b within 16 n eps sum |S bound| of an end is that end (see the definitions)."""
     n, b = len(p.mu), t - OFFSET
     tolerance = 16 * n * np.finfo(float).eps * (p.areas @ np.where(p.sigma == 0, p.mu, 1.0))
     return bool(min(abs(b - end) for end in p.ends) <= tolerance)
 
 
-def error(alpha: np.ndarray, exact: list) -> float:
+def error(alpha, exact):
     return max(abs(float(e) - a) for e, a in zip(exact, alpha[:, 0], strict=True))
 
 

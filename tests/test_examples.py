@@ -12,7 +12,7 @@ from rtcal.command.files import _PURPOSES
 from tests.conftest import run
 
 
-def run_line(line: str) -> None:
+def run_line(line):
     words = [w for word in shlex.split(line) for w in (sorted(glob.glob(word)) or [word])]
     if words[0] == "python":
         runpy.run_path(words[1], run_name="__main__")

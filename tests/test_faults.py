@@ -18,7 +18,7 @@ BEFORE = dict.fromkeys(NAMES[::2], OLD)
 AFTER = dict.fromkeys(NAMES, NEW)
 
 
-def set_of(folder: Path) -> dict[Path, bytes]:
+def set_of(folder):
     """Two files that are there and two that are not, in two folders."""
     for name in NAMES:
         (folder / name).parent.mkdir(exist_ok=True)
@@ -28,7 +28,7 @@ def set_of(folder: Path) -> dict[Path, bytes]:
     return {folder / name: NEW for name in NAMES}
 
 
-def events(folder: Path) -> int:
+def events(folder):
     contents = set_of(folder)
     with faults.faulty(None) as layer:
         write_all(contents)
@@ -36,7 +36,7 @@ def events(folder: Path) -> int:
     return layer.count
 
 
-def require_whole_or_refused(folder: Path) -> bool:
+def require_whole_or_refused(folder):
     """Return whether the set is refused; each file is old or new in any case."""
     now = faults.snapshot(folder)
     assert all(now[name] in (BEFORE.get(name), AFTER[name]) for name in now)

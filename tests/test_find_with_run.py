@@ -10,7 +10,6 @@ import pytest
 import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate, verify
 from rtcal.finder.effects import IN_RUN, AppliedEffect, Opening
-from rtcal.finder.finding import Finding
 from rtcal.finder.means import engines
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.problem import features_of, observe
@@ -28,7 +27,7 @@ FEWER = ("membrane", "resonator", "curtain", "people", "audience", "covered surf
 MATERIALS = ("audience", "walls", "ceiling")
 
 
-def hall() -> rt.Room:
+def hall():
     alpha = np.array([[0.4, 0.55, 0.7, 0.8, 0.85, 0.85], [0.05] * 6, [0.04] * 6])
     return rt.Room(
         name="hall", volume=4000, materials=MATERIALS, areas=[350, 900, 450], alpha=alpha,
@@ -36,14 +35,14 @@ def hall() -> rt.Room:
     )  # fmt: skip
 
 
-def natural(features: np.ndarray) -> dict[str, np.ndarray]:
+def natural(features):
     """Return the values of a model's features, (5, n_bands), by parameter."""
     t20, edt, t30, c80, g = features
     t = np.exp(t20)
     return {"t20": t, "edt": t * np.exp(edt), "t30": t * np.exp(t30), "c80": c80, "g": g}
 
 
-def values_of(room: rt.Room, factor: float = 1.0) -> dict[str, np.ndarray]:
+def values_of(room, factor=1.0):
     """What the equation gives, with T so many times as long and levels to match it."""
     made = Case(
         room=room,
@@ -55,30 +54,28 @@ def values_of(room: rt.Room, factor: float = 1.0) -> dict[str, np.ndarray]:
     return {p: v + steps[p] if p in steps else factor * v for p, v in values.items()}
 
 
-def measurement(values: dict[str, np.ndarray]) -> rt.Measurement:
+def measurement(values):
     u = {k: 0.02 * v if k in ("t20", "edt", "t30") else np.full(6, 0.3) for k, v in values.items()}
     return measurement_of(
         F, u={k: v[None] for k, v in u.items()}, **{k: v[None] for k, v in values.items()}
     )
 
 
-def controls() -> list[ControlRooms]:
+def controls():
     """Reference rooms without an engine."""
     scale = 0.02 * np.array([1, 1, 0.7, 20, 20])[:, None]
     rng = np.random.default_rng(1)
     return [ControlRooms(n, scale * rng.standard_normal((40, 1, 5, 6))) for n in ("one", "other")]
 
 
-def found(
-    measured: dict[str, np.ndarray], run: dict[str, np.ndarray] | None, **more: object
-) -> Finding:
+def found(measured, run, **more):
     room = hall()
     simulated = None if run is None else rt.Run(room, rt.Measurement.from_values(F, **run))
     more = {"without": FEWER, **more}
     return rt.find(room, measurement(measured), simulated=simulated, controls=controls(), **more)
 
 
-def with_absorber(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def with_absorber(values):
     """T of a room that absorbs 40 % more, at low frequencies less."""
     less = 1 / (1 + 0.4 * np.array([0.3, 0.8, 1, 1, 1, 1]))
     return {k: less * v for k, v in values.items() if k in ("t20", "edt", "t30")}
@@ -197,20 +194,20 @@ FIELD = np.array([0.4, -0.25, 0.08, -0.5, 0.3])[:, None] * np.ones(6)
 """What a less diffuse field changes: T is longer, and the decay is bent."""
 
 
-def of_other_fields(sign: float = 1.0) -> list[ControlRooms]:
+def of_other_fields(sign=1.0):
     """Reference rooms of two engines, of which the second one has the less diffuse field."""
     one, other = controls()
     return [one, replace(other, errors=sign * (other.errors + FIELD))]
 
 
-def by_program(measured: np.ndarray, run: np.ndarray, sign: float = 1.0) -> Finding:
+def by_program(measured, run, sign=1.0):
     """Search features of which a geometrical program's run is given."""
     simulated = rt.Run(hall(), rt.Measurement.from_values(F, **natural(run)))
     return rt.find(hall(), measurement(natural(measured)), simulated=simulated, without=FEWER,
                    program="geometrical", controls=of_other_fields(sign))  # fmt: skip
 
 
-def features_of_hall(*applied: AppliedEffect) -> np.ndarray:
+def features_of_hall(*applied):
     whole = Configuration(name="a", measured=measurement(values_of(hall())))
     return features_of(Case(room=hall(), configurations=[whole]), applied)[0]
 
@@ -237,7 +234,7 @@ def test_room_and_program_are_exchangeable():
 
 
 def test_what_positions_do_cancels_between_room_and_program(monkeypatch):
-    def by_place(control: engines.ControlRoom, _number: int) -> engines.Simulation:
+    def by_place(control, _number):
         far = float(control.distances.mean())
         return lambda alpha, _duration: far + alpha.sum(0) + np.zeros((5, 6))
 
@@ -298,7 +295,7 @@ def test_a_second_run_is_of_an_effect_that_was_chosen_and_of_one_configuration(a
     assert any('not compared: "curtain drawn"' in note for note in made.notes)
 
 
-def run_of(finding: Finding, effect: bool, off: float) -> rt.Measurement:
+def run_of(finding, effect, off):
     """What the equation gives of the corrected model with all alpha so many times as large."""
     made = finding.apply().model
     case = made.case if effect else finding.case
@@ -328,7 +325,7 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(absor
     """The program's C80 changes with the effect by more than the equation's, and so does the room's."""
     first = absorber.case.configurations[0]
 
-    def shifted(of: rt.Measurement) -> rt.Measurement:
+    def shifted(of):
         return replace(of, values={**of.values, "c80": of.values["c80"] + 2.0})
 
     case = replace(absorber.case, configurations=[replace(first, measured=shifted(first.measured))])

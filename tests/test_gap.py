@@ -8,12 +8,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.finder import read_case
-from rtcal.finder import Case, Finding, verify
+from rtcal.finder import Case, verify
 from rtcal.finder.claim import Size
 from rtcal.finder.means.engines import FOLDER
 from rtcal.finder.means.search import LITTLE
 from rtcal.finder.search import find
-from rtcal.finder.verification import LEAST_SHRINKAGE, SURE, Miss, Verification
+from rtcal.finder.verification import LEAST_SHRINKAGE, SURE, Miss
 from tests.conftest import candidates_of
 from tests.test_discrepancy import controls_of
 
@@ -72,7 +72,7 @@ def finding(folder):
     return find(case, only=["opening", "area"], controls=controls_of(case))
 
 
-def unsure(finding: Finding) -> Finding:
+def unsure(finding):
     """The same, where a material's area explains the data best and the opening hardly less."""
     area, opening = candidates_of("area", "opening")
     size = Size(1.4, 1.2, 1.6, "of the input area").fields
@@ -90,15 +90,7 @@ def unsure(finding: Finding) -> Finding:
     )
 
 
-def with_gap(
-    seen: Verification,
-    gaps: dict[str, tuple[float, float]],
-    *,
-    uncertainty: float = 0.1,
-    predictive: float = 5.0,
-    misses: tuple[Miss, ...] = (),
-    finding: Finding | None = None,
-) -> Verification:
+def with_gap(seen, gaps, *, uncertainty=0.1, predictive=5.0, misses=(), finding=None):
     """Return a verification with these gaps at what was held out, and a claimed family."""
     rows = [seen.quantities.index(quantity) for quantity in gaps]
     values, counted = seen.gaps.copy(), np.zeros_like(seen.counted)
@@ -160,7 +152,7 @@ def test_nothing_ambiguous_is_supported(finding):
     assert [c["effect"] for c in torn.to_dict()["finding"]["candidates"]] == ["area", "opening"]
 
 
-def held_out(seen: Verification) -> set[str]:
+def held_out(seen):
     return {seen.quantities[q] for q, _ in np.argwhere(seen.counted)}
 
 

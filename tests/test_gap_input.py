@@ -1,8 +1,6 @@
 """The input of the discrepancy library: effects of one's own, cases, rooms used before."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ from rtcal.support.errors import DataError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
 
-def with_organ() -> Case:
+def with_organ():
     bare = state(opened(), opened().configurations[0])
     t20 = 6 * np.log(10) / bare.covered(40.0, Organ().spectrum(F, {})).rate
     case = case_with(t20, edt=t20, t30=t20)
@@ -31,7 +29,7 @@ def with_organ() -> Case:
     )
 
 
-def refused(call: Callable[[], object], *words: str) -> None:
+def refused(call, *words):
     with pytest.raises(DataError) as caught:
         call()
     assert "\n" not in str(caught.value)
@@ -89,8 +87,8 @@ def test_one_s_own_of_a_library_s_name_is_not_taken_for_the_library_s(tmp_path):
     refused(lambda: save(str(tmp_path / "a.json")), '"opening"', "cannot be saved")
 
 
-def absorber(called: str | None, spectrum: object) -> Absorber:
-    made: Absorber = type("Own", (Absorber,), {"name": called, "spectrum": spectrum})()
+def absorber(called, spectrum):
+    made = type("Own", (Absorber,), {"name": called, "spectrum": spectrum})()
     return made
 
 
@@ -115,7 +113,7 @@ def test_a_spectrum_that_breaks_a_rule_is_named(spectrum, place):
     refused(lambda: plan(case, effects=effects), '"piano"', place)
 
 
-def on_state(**parts: Any) -> Effect:
+def on_state(**parts):
     members = {
         "name": "mine",
         "size": "x",
@@ -123,11 +121,11 @@ def on_state(**parts: Any) -> Effect:
         "grid": lambda s, state: [{"x": 1.0}],
         "change": lambda s, state, p: state,
     }
-    made: Effect = type("Mine", (Effect,), members | parts)()
+    made = type("Mine", (Effect,), members | parts)()
     return made
 
 
-def changing(**fields: Any) -> Effect:
+def changing(**fields):
     return on_state(change=lambda s, state, p: replace(state, **fields))
 
 

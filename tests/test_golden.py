@@ -6,7 +6,7 @@ import pytest
 from benchmarks import golden
 
 
-def lines(before: object, now: object) -> list[str]:
+def lines(before, now):
     found = golden.Differences()
     found.add(golden.plain(before), golden.plain(now), 1e-9)
     return found.lines

@@ -13,7 +13,7 @@ from rtcal.simulators import Polyhedron
 from tests.conftest import also
 
 
-def large_room(n_materials: int, seed: int = 0, name: str = "large") -> rt.Room:
+def large_room(n_materials, seed=0, name="large"):
     rng = np.random.default_rng(seed)
     alpha = np.random.default_rng(1).uniform(0.05, 0.5, (n_materials, 6))
     areas = rng.uniform(1, 30, n_materials)
@@ -29,7 +29,7 @@ def large_room(n_materials: int, seed: int = 0, name: str = "large") -> rt.Room:
     )
 
 
-def peak(calibration: rt.Calibration, room: rt.Room) -> float:
+def peak(calibration, room):
     t = 1.1 * rt.Eyring().reverberation_time(room)
     tracemalloc.start()
     calibration.build(room).solve(t)
@@ -53,7 +53,7 @@ def test_memory_of_a_calibration_is_linear_in_the_materials(calibration):
     assert np.log(large / small) / np.log(4) < 1.2
 
 
-def seconds_of_mending(n: int) -> float:
+def seconds_of_mending(n):
     """Processor time in s of mending a hall with n panels over its floor."""
     hall = Polyhedron.shoebox((40.0, 30.0, 8.0), "plaster")
     polygons = [hall.vertices[list(face)] for face in hall.faces]

@@ -18,7 +18,7 @@ MODEL = Path(__file__).with_name("space.ifc").read_text(encoding="utf-8")
 SECOND = "#70=IFCSPACE('0ZvctVUKr0kugbFTf53O9L',$,'2',$,$,#12,#18,'Hall',.ELEMENT.,.INTERNAL.,$);"
 
 
-def written(folder: Path, name: str = "Study", more: str = "") -> Path:
+def written(folder, name="Study", more=""):
     path = folder / "house.ifc"
     path.write_text(MODEL.replace("'NAME'", f"'{name}'").replace("MORE", more), encoding="utf-8")
     return path
@@ -49,7 +49,7 @@ def test_of_several_spaces_one_is_named(tmp_path, rtcal):
     assert "brick" in rtcal("import", "check", path, "--space", "Study")
 
 
-def outlined(folder: Path, corners: list[tuple[float, float]], listed: bool = False) -> Path:
+def outlined(folder, corners, listed=False):
     """The model with an outline of its space, in mm, as points or as one list of them."""
     lines = [f"#{200 + i}=IFCCARTESIANPOINT(({x!r},{y!r}));" for i, (x, y) in enumerate(corners)]
     lines.append(f"#300=IFCPOLYLINE(({','.join(f'#{200 + i}' for i in range(len(corners)))}));")
@@ -113,7 +113,7 @@ def test_what_is_no_model_of_a_room_is_refused(tmp_path):
         mesh.room(path)
 
 
-def changed(folder: Path, old: str, new: str) -> Path:
+def changed(folder, old, new):
     path = written(folder)
     text = path.read_text(encoding="utf-8")
     assert old in text

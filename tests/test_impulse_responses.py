@@ -18,7 +18,7 @@ soundfile = pytest.importorskip("soundfile")
 RATE = 44100
 
 
-def decay(t: float, rate: int = RATE, length: float = 3.0) -> np.ndarray:
+def decay(t, rate=RATE, length=3.0):
     """Energy of an exact exponential decay that falls 60 dB in t."""
     return np.exp(-6 * np.log(10) / t * np.arange(int(length * t * rate)) / rate)
 
@@ -50,7 +50,7 @@ def test_nothing_above_the_noise():
     assert ir.of_energy(np.zeros(RATE), RATE)[2] is Floor.SHORT
 
 
-def response(t: float, rng: np.random.Generator, rate: int = 16000) -> np.ndarray:
+def response(t, rng, rate=16000):
     e = decay(t, rate)
     noise = 1e-4 * rng.standard_normal(len(e) + 800)
     noise[800:] += np.sqrt(e) * rng.choice([-1.0, 1.0], len(e))
@@ -133,7 +133,7 @@ def test_a_clipped_response_is_noted(tmp_path):
 OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0)
 
 
-def straight(t: float, rate: int = 16000, length: float = 2.2) -> np.ndarray:
+def straight(t, rate=16000, length=2.2):
     """Tones at the centres of `OCTAVES`, each of which falls 60 dB in t, over length times t."""
     time = np.arange(int(length * t * rate)) / rate
     phases = np.random.default_rng(3).uniform(0, 2 * np.pi, len(OCTAVES))
@@ -141,7 +141,7 @@ def straight(t: float, rate: int = 16000, length: float = 2.2) -> np.ndarray:
     return tones.mean(axis=0) * 10 ** (-3 * time / t)
 
 
-def damaged(how: str, h: np.ndarray, t: float, rate: int = 16000) -> np.ndarray:
+def damaged(how, h, t, rate=16000):
     """A response that falls 60 dB in t, with one thing done to it: "cut 40" cuts it 40 dB down."""
     kind, _, amount = how.partition(" ")
     n, rng = len(h), np.random.default_rng(1)
@@ -258,7 +258,7 @@ def test_a_file_that_lost_its_end_or_its_quiet_sound_is_in_doubt(tmp_path):
     assert note.startswith(f"{lossy}: its coding, Vorbis, is lossy")
 
 
-def no_impulse_response(kind: str, t: float, rng: np.random.Generator) -> np.ndarray:
+def no_impulse_response(kind, t, rng):
     """A recording in a room with T = t, 16 kHz, that is no impulse response."""
     rate = 16000
     h = rng.standard_normal(int(1.5 * t * rate)) * np.sqrt(decay(t, rate, 1.5))

@@ -77,7 +77,7 @@ LIST = b"ABS wood = <10 12 14 16 18 20>\r\nABS felt = <2 2 2 2 2 2> L <30 30 30 
 BOTH = ("--volume", 60, "--area", "wood=40", "--area", "felt=60")
 
 
-def imported(folder: Path, *options: object, content: bytes = LIST) -> rt.Room:
+def imported(folder, *options, content=LIST):
     (folder / "hall.geo").write_bytes(content)
     out = folder / "room.toml"
     assert run("import", "catt", folder / "hall.geo", "--out", out, *options) == 0

@@ -1,7 +1,5 @@
 """The benchmarks that judge the finder: rates, calibration of probabilities, what counts as right."""
 
-from typing import Any
-
 import pytest
 
 from benchmarks.studies.means.judging import calibration_error
@@ -10,7 +8,7 @@ from benchmarks.studies.means.real_rooms import outcome
 from benchmarks.studies.rates import share
 
 
-def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:
+def row(verdict, effect, **more):
     rest = {"family": None, "candidates": [effect], "probabilities": {}, "families": {}}
     return {"verdict": verdict, "effect": effect, **rest, **more}
 

@@ -14,12 +14,12 @@ KUTTRUFF = rt.Kuttruff()
 PEAK = KUTTRUFF.largest_mean
 
 
-def room(mean: list[float], sigma: float = 0.2, **more: object) -> rt.Room:
+def room(mean, sigma=0.2, **more):
     materials = {"wall": (90, mean, sigma), "floor": (40, mean, sigma)}
     return room_of(materials, [500, 1000][: len(mean)], air=rt.Air(), **more)
 
 
-def at_mean(given: rt.Room, mean: float) -> np.ndarray:
+def at_mean(given, mean):
     return KUTTRUFF.time(given, np.full(given.n_bands, mean * given.total_area))
 
 

@@ -1,7 +1,5 @@
 """Plain questions to a calibration, over all methods, equations and kinds of uncertain rooms."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from tests.conftest import also, in_order, room_of
 
 METHODS = ("mle", "lse", "soft", "smooth", "robust")
 EQUATIONS = (rt.Sabine(), rt.Eyring(), rt.Kuttruff())
-STATED: dict[str, dict[str, Any]] = {
+STATED = {
     "exact": {},
     "uncertain": {"volume_sigma": 0.05, "area_sigma": 0.03, "climate_sigma": (2, 10)},
     "correlated": {"band_correlation": 0.6, "common_alpha_sigma": 0.15},
@@ -19,7 +17,7 @@ STATED: dict[str, dict[str, Any]] = {
 BANDS = [125, 250, 500, 1000, 2000]
 
 
-def room(seed: int = 1, **stated: Any) -> rt.Room:
+def room(seed=1, **stated):
     rng = np.random.default_rng(seed)
     alpha = rng.uniform(0.03, 0.4, (4, 5))
     areas = {"carpet": 34, "boards": 80, "glass": 14, "door": 6}
@@ -27,7 +25,7 @@ def room(seed: int = 1, **stated: Any) -> rt.Room:
     return room_of(materials, BANDS, 95, air=rt.Air(21, 45), **stated)
 
 
-def cases() -> list[Any]:
+def cases():
     every = [
         (m, e, kind)
         for m in METHODS
@@ -52,13 +50,13 @@ def test_a_calibrated_room_is_not_moved_by_the_t_that_it_has(method, equation, k
         rt.calibrate(first.room, t, method, equation)
 
 
-def without_air(given: rt.Room, size: float) -> rt.Room:
+def without_air(given, size):
     still = given.replace(air=None, climate_sigma=(0, 0))
     return still.replace(volume=size**3 * given.volume, areas=size**2 * given.areas)
 
 
 ORDER, AS_IT_IS = np.array([2, 0, 3, 1]), np.arange(4)
-ALIKE: dict[str, tuple[Any, Any, float, np.ndarray]] = {
+ALIKE = {
     "nothing": (lambda r: r, lambda r: r, 1.0, AS_IT_IS),
     "order": (lambda r: r, lambda r: in_order(r, ORDER), 1.0, ORDER),
     # (k V / T - 4 m V) / S has the same value.

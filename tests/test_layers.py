@@ -36,11 +36,11 @@ ORDER = (
 SEPARATE = [("simulators", "calibration"), ("exact", "calibration"), ("posterior", "calibration")]
 
 
-def modules() -> list[Path]:
+def modules():
     return sorted(PACKAGE.rglob("*.py"))
 
 
-def own_name(path: Path) -> str:
+def own_name(path):
     parts = ("rtcal", *path.relative_to(PACKAGE).with_suffix("").parts)
     return ".".join(parts).removesuffix(".__init__")
 
@@ -49,9 +49,9 @@ NAMES = {own_name(path) for path in modules()}
 
 
 @functools.cache
-def imports_of(path: Path) -> set[str]:
+def imports_of(path):
     """Every module that a file imports: at its head, inside functions and under TYPE_CHECKING."""
-    imported: set[str] = set()
+    imported = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
@@ -67,7 +67,7 @@ def imports_of(path: Path) -> set[str]:
     return imported
 
 
-def package(name: str) -> str | None:
+def package(name):
     parts = name.split(".")
     return parts[1] if parts[0] == "rtcal" and len(parts) > 1 else None
 
@@ -86,7 +86,7 @@ def test_imports_go_down_only():
     assert wrong == []
 
 
-def places(name: str) -> list[str]:
+def places(name):
     """Return a module's packages and its name; its compiled loops are of one name with it."""
     return [part.removesuffix("_kernel") for part in name.split(".")]
 

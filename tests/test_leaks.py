@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +18,7 @@ VOLUME = 9 * 7 * 3.2
 AREA = 2 * (9 * 7 + 9 * 3.2 + 7 * 3.2)
 
 
-def with_hole(side: float) -> list[tuple[str, str, np.ndarray]]:
+def with_hole(side):
     """The faces of a box whose floor has a square hole."""
     box = Polyhedron.shoebox(
         SIDES, {w: w for w in ("west", "east", "south", "north", "floor", "ceiling")}
@@ -51,7 +50,7 @@ def test_rays_say_how_large_hole_and_room_are(side):
     assert leaking.contains([(4, 3, 1.5), (4, 3, -1)]).tolist() == [True, False]
 
 
-def room(tmp_path: Path, side: float, *, leaks: bool) -> rt.Room:
+def room(tmp_path, side, *, leaks):
     mesh = tmp_path / "box.obj"
     Polyhedron.from_polygons(with_hole(side), leaks=True).save(mesh)
     scene = rt.Scene(

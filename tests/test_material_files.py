@@ -3,7 +3,6 @@
 import json
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from rtcal.io.material_list import dictionaries
 from rtcal.support.errors import DataError
 from tests import fuzz
 
-FORMATS: dict[str, Any] = {
+FORMATS = {
     "catt": catt,
     "odeon": odeon,
     "pyroomacoustics": pyroomacoustics,
@@ -78,7 +77,7 @@ def test_decimals_can_be_stated(tmp_path):
         catt.write(room, path, decimals=1)
 
 
-def octave_room(**changes: Any) -> rt.Room:
+def octave_room(**changes):
     frequencies = [63, 125, 250, 500, 1000, 2000, 4000, 8000, 16000]
     rng = np.random.default_rng(4)
     return rt.Room(
@@ -93,7 +92,7 @@ def octave_room(**changes: Any) -> rt.Room:
     ).replace(**changes)
 
 
-def third_octave_room() -> rt.Room:
+def third_octave_room():
     """Thirds that differ within an octave: the mean of the first is 16.1 %, its middle third 9.5 %."""
     thirds = [[0.05, 0.095, 0.338], [0.2, 0.25, 0.3]]
     alpha = np.array([[a for octave in thirds for a in octave] * 3])

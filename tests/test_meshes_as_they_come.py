@@ -22,37 +22,37 @@ Drawn = list[tuple[str, Any]]
 HALVES = ((0, 1, 2), (0, 2, 3))
 
 
-def walls(*without: str) -> Drawn:
+def walls(*without):
     """Return the box, each side a material of its own, without some."""
     sides = zip(BOX.names, BOX.faces, strict=True)
     return [(n, BOX.vertices[list(f)]) for n, f in sides if n not in without]
 
 
-PLASTER: Drawn = [("plaster", polygon) for _, polygon in walls()]
+PLASTER = [("plaster", polygon) for _, polygon in walls()]
 
 
-def faces(drawn: Drawn, path: str = "room.obj") -> mend.Faces:
+def faces(drawn, path="room.obj"):
     names = [name for name, _ in drawn]
     return mend.Faces(path, [np.array(p, dtype=float) for _, p in drawn], names, names)
 
 
-def mended(drawn: Drawn, **options: float) -> mend.Mended:
+def mended(drawn, **options):
     """Return the room as `mesh.room` takes a file's faces."""
     return mend.mended(faces(drawn), **options)
 
 
-def kinds(done: mend.Mended) -> list[str]:
+def kinds(done):
     return [defect.kind for defect in done.defects]
 
 
-def block(low: Any, high: Any, material: str = "seats", without: tuple[str, ...] = ()) -> Drawn:
+def block(low, high, material="seats", without=()):
     """Return the faces of a box, all but some sides of `Polyhedron.shoebox`."""
     box = Polyhedron.shoebox(tuple(np.subtract(high, low).tolist()), material)
     sides = zip(box.names, box.faces, strict=True)
     return [(material, box.vertices[list(f)] + low) for n, f in sides if n not in without]
 
 
-def halved(drawn: Drawn) -> Drawn:
+def halved(drawn):
     return [(n, np.array(p, dtype=float)[list(half)]) for n, p in drawn for half in HALVES]
 
 
@@ -62,7 +62,7 @@ SCREEN = [
     ("screen", [[5, 0, 0], [6, 3, 0], [6, 3, 4], [5, 0, 4]]),
     ("screen", [[6, 3, 0], [5, 7, 0], [5, 7, 4], [6, 3, 4]]),
 ]
-SINGLE: dict[str, Any] = {
+SINGLE = {
     "glass": [[0.03, 2, 1], [0.03, 4, 1], [0.03, 4, 2], [0.03, 2, 2]],
     "door": [[0, 5, 0], [0, 6, 0], [0, 6, 2], [0, 5, 2]],
     "frame": [[0, 1, 0.5], [0, 5, 0.5], [0, 5, 3], [0, 1, 3]],
@@ -76,7 +76,7 @@ GLASS, PANEL, FIN = ((name, SINGLE[name]) for name in ("glass", "panel", "fin"))
 MEANT = (Path(__file__).parent / "meshes" / "meant.txt").read_text("utf-8")
 
 
-def in_box(text: str) -> Drawn:
+def in_box(text):
     """Return the box, its sides of one material unless faces lie on them, and what is in it."""
     parts = [part.split() for part in text.split(",") if part.strip()]
     drawn = walls() if {"glass", "door"} & {name for name, *_ in parts} else [*PLASTER]
@@ -111,7 +111,7 @@ def test_what_is_drawn_twice_as_a_whole_is_taken_once(triangles):
     assert "twice" in kinds(done)
 
 
-REFUSED: dict[str, tuple[Drawn, dict[str, float], str]] = {
+REFUSED = {
     "no face": ([], {}, "the mesh has no face"),
     "a sheet": ([("x", np.eye(3))], {}, "the faces do not enclose a volume"),
     "slivers": ([("x", np.eye(3) * 1e-3)], {}, r"weld distance of 10 mm: as read, the mesh"),
@@ -218,7 +218,7 @@ def test_the_advised_size_of_a_hole_and_weld_are_those_that_close_it(factor):
     assert kinds(mended(large, largest_hole=float(advised))) == ["hole"]
 
 
-def cornered(*without: tuple[int, int, int]) -> Drawn:
+def cornered(*without):
     """Return the box in rectangles that are drawn up to 8, 2 and 3 m, without those named by centre."""
     cuts, drawn = ([0, 8, 10], [0, 2, 5, 7], [0, 3, 4]), list[tuple[str, Any]]()
     for axis in range(3):
@@ -298,7 +298,7 @@ def test_rays_determine_the_volume_of_rooms_without_a_wall():
 # -- formats
 
 
-def obj(drawn: Drawn, path: Path, groups: bool = False) -> Path:
+def obj(drawn, path, groups=False):
     rows, count = [], 0
     for material, polygon in drawn:
         rows += ["v {} {} {}".format(*p) for p in polygon]

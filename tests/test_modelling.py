@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.methods import preset
-from rtcal.calibration.problem import GaussNewtonFit, fit
+from rtcal.calibration.problem import fit
 from rtcal.calibration.unknowns import Configurations
 from tests.conftest import also, random_room, room_of, true_times
 
@@ -34,7 +34,7 @@ INGREDIENTS = {
 }
 
 
-def composed(*names: str) -> rt.Calibration:
+def composed(*names):
     parts = [INGREDIENTS[n] for n in names]
     objective = [p for p in parts if isinstance(p, terms.Objective | terms.Term)]
     constraints = [p for p in parts if not isinstance(p, terms.Objective | terms.Term)]
@@ -43,7 +43,7 @@ def composed(*names: str) -> rt.Calibration:
     return rt.Calibration(sum(objective), constraints)
 
 
-def a_room(rng: np.random.Generator) -> rt.Room:
+def a_room(rng):
     """Materials 2 and 3 have one prior, so that they can be shared."""
     room = random_room(rng, 5, 3)
     alpha, sigma = room.alpha.copy(), room.sigma.copy()
@@ -148,7 +148,7 @@ def test_constraints_do_what_they_say():
     t = true_times(rng, room, EYRING) * 0.9
     exact = terms.ExactMatch()
 
-    def solved(*constraints: object, objective: object = PRIOR):
+    def solved(*constraints, objective=PRIOR):
         return rt.Calibration(objective, list(constraints)).build(room).solve(t)
 
     plain = solved(exact)
@@ -277,10 +277,10 @@ def test_a_function_is_a_term():
     t = true_times(rng, room, EYRING)
     opinion = room.alpha + 0.05
 
-    def second_opinion(m: terms.Model) -> cp.Expression:
+    def second_opinion(m):
         return 0.5 * cp.sum_squares((m.alpha - opinion) / 0.02)
 
-    def quiet_floor(m: terms.Model) -> list[cp.Constraint]:
+    def quiet_floor(m):
         return [m.alpha[0] <= 0.5 * opinion[0]]
 
     result = rt.Calibration(PRIOR + second_opinion, [quiet_floor]).build(room).solve(t)
@@ -297,14 +297,14 @@ def test_a_function_is_a_term():
 class Levels:
     """Data of a user's own: the steady level of a source by band, -10 lg of the absorption area."""
 
-    def __init__(self, room: rt.Room, values: np.ndarray) -> None:
+    def __init__(self, room, values):
         self.room, self.values = room, values
         self.covariance = 0.1**2 * np.eye(len(values))
 
-    def predict(self, alpha: np.ndarray) -> np.ndarray:
+    def predict(self, alpha):
         return np.asarray(-10 * np.log10(self.room.areas @ alpha))
 
-    def jacobian(self, alpha: np.ndarray) -> np.ndarray:
+    def jacobian(self, alpha):
         by_area = -10 / np.log(10) / (self.room.areas @ alpha)
         rows = np.einsum("k,m,kl->kml", by_area, self.room.areas, np.eye(len(by_area)))
         return np.asarray(rows.reshape(len(by_area), -1))
@@ -318,7 +318,7 @@ def test_a_kind_of_data_from_outside_is_fitted():
     data = Levels(room, -10 * np.log10(room.areas @ twice))
     problem = rt.Calibration(PRIOR + term, []).build(room)
 
-    def fitted(most: int) -> GaussNewtonFit:
+    def fitted(most):
         return fit(problem, data, room.alpha, term=term, method="levels", most=most)
 
     ended = fitted(6)

@@ -7,7 +7,6 @@ import sys
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import click
 import pytest
@@ -22,11 +21,11 @@ def test_no_two_classes_have_one_name():
     assert [n for n, times in Counter(names).items() if times > 1 and n[0] != "_"] == []
 
 
-def public_paths() -> dict[str, Any]:
+def public_paths():
     """Return every public object by each path below `rtcal` by which a user reaches it."""
-    paths: dict[str, Any] = {}
+    paths = {}
 
-    def walk(module: ModuleType, path: str) -> None:
+    def walk(module, path):
         for name in module.__all__:
             value = paths[f"{path}.{name}"] = getattr(module, name)
             if isinstance(value, ModuleType):
@@ -55,11 +54,11 @@ def test_every_formula_has_a_source():
     assert len(with_formula) > 10
 
 
-def options_by_name() -> dict[str, dict[str, dict[str, Any]]]:
+def options_by_name():
     """Return what each option is in each command that has it."""
-    found: dict[str, dict[str, dict[str, Any]]] = {}
+    found = {}
 
-    def walk(command: click.Command, name: str) -> None:
+    def walk(command, name):
         for key, inner in getattr(command, "commands", {}).items():
             walk(inner, f"{name} {key}")
         for option in command.params:

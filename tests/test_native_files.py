@@ -4,9 +4,7 @@ import csv
 import json
 import re
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +21,12 @@ FOLDER = Path(__file__).parent / "native"
 ROOM, TABLE = ((FOLDER / name).read_text("utf-8") for name in ("room.toml", "pairs.csv"))
 
 
-def room_of(folder: Path) -> rt.Room:
+def room_of(folder):
     (folder / "base.toml").write_text(ROOM, encoding="utf-8")
     return rt.Room.from_file(str(folder / "base.toml"))
 
 
-def case_of(path: Path) -> Case:
+def case_of(path):
     # A case is of a room as it was before it was calibrated.
     before = ROOM.replace(ROOM[ROOM.index("[calibration]") : ROOM.index("[[material]]")], "")
     (path.parent / "room.toml").write_text(before, encoding="utf-8")
@@ -36,13 +34,13 @@ def case_of(path: Path) -> Case:
     return Case.from_file(str(path))
 
 
-def saved_case() -> str:
-    text: str = json.dumps({**opened().to_dict(), "applied": APPLIED})
+def saved_case():
+    text = json.dumps({**opened().to_dict(), "applied": APPLIED})
     return text
 
 
 APPLIED = [{"effect": "opening", "parameters": {"area": 2.0}, "size_interval": [1.0, 3.0]}]
-READERS: dict[str, Callable[[Path], Any]] = {
+READERS = {
     "room.toml": lambda path: rt.Room.from_file(str(path)),
     "t.csv": lambda path: rt.Measurement.from_file(str(path)),
     "case.toml": case_of,
@@ -52,7 +50,7 @@ READERS: dict[str, Callable[[Path], Any]] = {
 }
 
 
-def good(name: str) -> str:
+def good(name):
     return saved_case() if name == "case.json" else (FOLDER / name).read_text("utf-8")
 
 
@@ -145,7 +143,7 @@ def test_other_encodings_are_refused(name, tmp_path):
         READERS[name](tmp_path / name)
 
 
-def toml_blocks() -> list[str]:
+def toml_blocks():
     """Return the room files in the documents, in the package and above."""
     root = Path(__file__).parents[1]
     documents = [*root.glob("docs/**/*.md"), root / "README.md"]

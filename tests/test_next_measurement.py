@@ -17,7 +17,7 @@ from rtcal.report.finding_words import CHECKS
 from tests.test_several_effects import BOTH, case_with, compared
 
 
-def two(apart: float, correlation: float = 0.0) -> Moments:
+def two(apart, correlation=0.0):
     """Two hypotheses whose second feature differs by so many standard deviations."""
     covariance = np.array([[1.0, correlation], [correlation, 1.0]])
     return Moments(
@@ -43,7 +43,7 @@ def test_information_is_the_mutual_information(apart):
     half = np.full(2, 0.5)
     about = Information(two(apart), half, np.arange(2), np.zeros(2, dtype=bool))
 
-    def entropy(y: float) -> float:
+    def entropy(y):
         p = norm.pdf(y), norm.pdf(y, apart)
         q = p[0] / sum(p)
         return sum(p) / 2 * -sum(x * np.log(x) for x in (q, 1 - q) if x > 0)

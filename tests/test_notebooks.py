@@ -6,7 +6,6 @@ import json
 import re
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -33,12 +32,12 @@ MOST_BYTES = 320_000
 pytestmark = pytest.mark.skipif(not NOTEBOOKS, reason="needs the source tree")
 
 
-def cells(path: Path, kind: str) -> list[dict[str, Any]]:
+def cells(path, kind):
     stored = json.loads(path.read_text(encoding="utf-8"))["cells"]
     return [cell for cell in stored if cell["cell_type"] == kind]
 
 
-def run(path: Path, monkeypatch: pytest.MonkeyPatch, *, fast: bool = True) -> dict[str, Any]:
+def run(path, monkeypatch, *, fast=True):
     """Run the code cells one after the other, beside the notebook as its kernel would be.
 
     A run that is not shortened must print what is stored.
@@ -51,7 +50,7 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch, *, fast: bool = True) -> di
         monkeypatch.setenv("RTCAL_FAST", "1")
     else:
         monkeypatch.delenv("RTCAL_FAST", raising=False)
-    names: dict[str, Any] = {"__name__": "__main__"}
+    names = {"__name__": "__main__"}
     texts = []
     for cell in cells(path, "code"):
         output = io.StringIO()
@@ -64,11 +63,11 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch, *, fast: bool = True) -> di
     return names
 
 
-def can_be_shortened(path: Path) -> bool:
+def can_be_shortened(path):
     return "RTCAL_FAST" in path.read_text(encoding="utf-8")
 
 
-def stored_texts(path: Path) -> list[str]:
+def stored_texts(path):
     """Return what each code cell printed in the stored run."""
     return [
         "".join("".join(out.get("text", "")) for out in cell["outputs"])
@@ -76,7 +75,7 @@ def stored_texts(path: Path) -> list[str]:
     ]
 
 
-def named(paths: list[Path]) -> Any:
+def named(paths):
     return pytest.mark.parametrize("path", paths, ids=lambda p: p.stem)
 
 

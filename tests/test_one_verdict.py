@@ -1,8 +1,6 @@
 """One verdict: seeds, and the order of materials, change nothing of what a search by means says."""
 
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,18 +20,18 @@ ROOMS = [(1, kind) for kind in KINDS]
 ROOMS += [(2, kind) for kind in ("nothing", "air", "furniture", "membrane")]
 
 
-def reordered(case: Case, order: list[int]) -> Case:
+def reordered(case, order):
     """The case with its materials in another order."""
     return replace(case, room=in_order(case.room, order), facing=case.facing[order])
 
 
-def orders(case: Case) -> list[list[int]]:
+def orders(case):
     """Three orders of the materials."""
     n = case.room.n_materials
     return [list(range(n)), list(range(n))[::-1], np.random.default_rng(3).permutation(n).tolist()]
 
 
-def drawn(world: int, kind: Any) -> Case:
+def drawn(world, kind):
     """A room of the first world, or the first of its kind that is stored of the second."""
     if world == 1:
         return Case.from_dict(read(1, POPULATION, "case")[KINDS.index(kind)])
@@ -41,9 +39,7 @@ def drawn(world: int, kind: Any) -> Case:
     return Case.from_dict(read(2, 0, "case")[index])
 
 
-def one_verdict(
-    case: Case, tmp_path: Any, tried: Iterable[tuple[int, int]]
-) -> Iterator[tuple[str, str | None, tuple[str, ...]]]:
+def one_verdict(case, tmp_path, tried):
     """Yield what is said with these orders and seeds."""
     every = orders(case)
     for order, seed in tried:

@@ -9,7 +9,7 @@ from rtcal.acoustics.equations import PAPER_SPEED_OF_SOUND
 SABINE = rt.Sabine(speed_of_sound=PAPER_SPEED_OF_SOUND)
 
 
-def room_of(areas, mu, sigma) -> rt.Room:
+def room_of(areas, mu, sigma):
     return rt.Room(
         name="paper",
         volume=60,
@@ -21,7 +21,7 @@ def room_of(areas, mu, sigma) -> rt.Room:
     )
 
 
-def calibrated(areas, mu, sigma, truth, method: str, solver: str) -> np.ndarray:
+def calibrated(areas, mu, sigma, truth, method, solver):
     room = room_of(areas, mu, sigma)
     t = SABINE.reverberation_time(room.replace(alpha=np.array(truth)[:, np.newaxis]))
     return rt.calibrate(room, t, method=method, equation=SABINE, solver=solver).alpha[:, 0]
@@ -60,7 +60,7 @@ PRINTED = {
 }
 
 
-def table_1() -> dict[str, np.ndarray]:
+def table_1():
     b = AREAS @ TRUTH
     return {
         "ref": rt.exact.scaling(MU, AREAS, b),

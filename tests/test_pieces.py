@@ -37,7 +37,7 @@ WALLS = (
 )
 
 
-def room(*objects: Piece, **stated: object) -> Room:
+def room(*objects, **stated):
     return Room.from_surfaces(
         name="class", volume=189, centre_frequencies=F, materials=WALLS, objects=objects, **stated
     )
@@ -163,7 +163,7 @@ def test_changes_that_pieces_do_not_allow(change, words):
         Change(add="persons")
 
 
-def by_hand(area: np.ndarray, surface: float, of: Room) -> np.ndarray:
+def by_hand(area, surface, of):
     """Return Eyring's T in s of an absorption area and a surface in m², without the library's."""
     constant = 24 * np.log(10) / of.speed_of_sound * of.volume
     air = 4 * of.air_attenuation * of.volume
@@ -277,7 +277,7 @@ TABLE = tomllib.loads(resources.files("rtcal.datasets").joinpath("pieces.toml").
 OCTAVES = [125, 250, 500, 1000, 2000, 4000]
 
 
-def rows_of(name: str) -> np.ndarray:
+def rows_of(name):
     """Return m² per piece, one row per published value, in six octaves."""
     (piece,) = (each for each in TABLE["piece"] if each["name"] == name)
     return np.array([np.array(row["values"][:6]) * row.get("times", 1) for row in piece["row"]])
@@ -407,7 +407,7 @@ def test_a_box_has_the_pieces_of_its_options(tmp_path, rtcal):
         assert words in rtcal.refused(*box, "--object", wrong, "--out", tmp_path / "x.toml")
 
 
-def case_of_pieces(persons: float = 30, **stated: object) -> Case:
+def case_of_pieces(persons=30, **stated):
     """A room with persons, and T20 of the same room with another number of persons and no error."""
     model = room(replace(PERSONS, number_sigma=0.0), **stated)
     model = model.replace(sigma=0.05 * model.alpha)

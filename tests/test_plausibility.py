@@ -11,7 +11,7 @@ from rtcal.calibration.unknowns import Configurations
 from tests.conftest import room_of
 
 
-def three(**changes) -> rt.Room:
+def three(**changes):
     materials = {
         "a": (80, [0.1, 0.12, 0.15], [0.02, 0.03, 0.03]),
         "b": (50, [0.3, 0.35, 0.4], [0.05, 0.06, 0.05]),
@@ -25,7 +25,7 @@ BY_BAND = 0.7 ** np.abs(np.subtract.outer(np.arange(3), np.arange(3)))
 TIMES = np.array([0.45, 0.5, 0.4])
 
 
-def by_hand(room: rt.Room, between: np.ndarray, by_band: np.ndarray):
+def by_hand(room, between, by_band):
     """z, Q and p from the covariance of b - S'mu written out over every pair of coefficients."""
     n, k = room.alpha.shape
     covariance = np.zeros((k, k))

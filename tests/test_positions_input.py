@@ -2,7 +2,6 @@
 
 import dataclasses
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,7 +37,7 @@ def measured():
     return in_hall(HALL, n_paths=3000, scattering=0.5).simulate(ROOM.alpha * 1.1, seed=3)
 
 
-FOLDER: dict[str, Path] = {}
+FOLDER = {}
 """The folder of reference simulations, for `calibrate`."""
 
 
@@ -187,7 +186,7 @@ def folder(tmp_path, tracer, measured):
     return tmp_path
 
 
-def fit(folder: Path, *options: str):
+def fit(folder, *options):
     files = [str(folder / name) for name in ("room.toml", "pairs.csv")]
     return CliRunner().invoke(cli, ["fit", *files, "--paths", "160", *options])
 

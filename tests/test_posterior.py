@@ -15,7 +15,7 @@ from tests.quadrature import errors, random_band
 EYRING = rt.Eyring()
 
 
-def room_with(mu: float, sigma: float, n: int = 4) -> rt.Room:
+def room_with(mu, sigma, n=4):
     areas = enumerate(np.linspace(10, 40, n))
     return room_of({f"m{i}": (area, mu, sigma) for i, area in areas}, [1000])
 
@@ -29,7 +29,7 @@ def test_random_bands_against_quadrature(seed):
     assert width < 0.03
 
 
-def single_band(areas: list[float], alpha: float, sigma: list[float]) -> rt.Room:
+def single_band(areas, alpha, sigma):
     rows = enumerate(zip(areas, sigma, strict=True))
     return room_of({f"m{i}": (area, alpha, u) for i, (area, u) in rows}, [1000], 1000)
 
@@ -159,14 +159,14 @@ def test_what_is_no_density_has_no_posterior():
             found.quantile(probability)
 
 
-def coupled(seed: int = 0, **keywords: object) -> tuple[rt.Room, np.ndarray]:
+def coupled(seed=0, **keywords):
     """Three coefficients in two bands, pressed against their bounds by T."""
     room = random_room(np.random.default_rng(seed), 3, 2, air=rt.Air(20, 50))
     room = room.replace(alpha=room.alpha / 20, **keywords)
     return room, EYRING.time(room, room.absorption_area * 0.6)
 
 
-def whole(parts: list, size: int) -> np.ndarray:
+def whole(parts, size):
     """Quantiles of all unknowns, (size, 201)."""
     table = np.empty((size, len(NORMAL)))
     for part in parts:

@@ -9,7 +9,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.changes import read_variants
 from rtcal.prediction import Assumptions, Change, changed, predict
-from rtcal.prediction.predicted import JND, Prediction
+from rtcal.prediction.predicted import JND
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also, in_order, measurement_of, room_of
 
@@ -24,7 +24,7 @@ SMALL = 0.01
 """m² of a panel in a hall."""
 
 
-def a_room(seed: int, *, named: bool = True, **more) -> rt.Room:
+def a_room(seed, *, named=True, **more):
     """A random box; without names nothing says which way its surfaces face."""
     rng = np.random.default_rng([57, seed])
     x, y, z = rng.uniform((5, 4, 2.6), (12, 9, 5))
@@ -43,19 +43,19 @@ def a_room(seed: int, *, named: bool = True, **more) -> rt.Room:
     )
 
 
-def measured_in(room: rt.Room, seed: int, equation=None) -> rt.Measurement:
+def measured_in(room, seed, equation=None):
     """A T that is not the stated coefficients', with an uncertainty."""
     factor = np.random.default_rng([58, seed]).uniform(0.8, 1.25, room.n_bands)
     t = factor * (equation or rt.Eyring()).reverberation_time(room)
     return at_two_positions(t, 0.03)
 
 
-def at_two_positions(t: np.ndarray, u: float) -> rt.Measurement:
+def at_two_positions(t, u):
     """Two values that leave their mean with this relative uncertainty."""
     return measurement_of(BANDS, [("S", "R1"), ("S", "R2")], t20=[(1 - u) * t, (1 + u) * t])
 
 
-def calibrated(seed: int, method: str = "mle", equation=None, **more):
+def calibrated(seed, method="mle", equation=None, **more):
     room = a_room(seed, **more)
     return rt.calibrate(room, measured_in(room, seed, equation), method, equation)
 
@@ -65,7 +65,7 @@ def result():
     return calibrated(0)
 
 
-def same(one: Prediction, other: Prediction) -> None:
+def same(one, other):
     """Two predictions agree to the last sensible digit."""
     assert other.mean == pytest.approx(one.mean, rel=1e-9)
     for a, b in zip(one.interval, other.interval, strict=True):
@@ -188,7 +188,7 @@ def test_the_order_of_materials_changes_and_bands_moves_nothing(named):
     measured = measured_in(room, 3)
     other = in_order(room, [2, 0, 1])
     felt = rt.Material("felt", [0.3] * 3, [0.1] * 3)
-    changes: list[Change] = [
+    changes = [
         Change(cover=room.materials[0], by=PANEL, area=7),
         Change(add=felt, area=3),
     ]
@@ -254,7 +254,7 @@ def test_the_change_is_the_equations_where_all_is_known(result):
 # All on one surface -------------------------------------------------------------------------------
 
 
-def classroom(**more) -> rt.Room:
+def classroom(**more):
     """8 x 6.5 x 2.9 m, hard, its surfaces named; traced with an acoustic ceiling below."""
     plaster, lino = [0.06, 0.05, 0.05], [0.03, 0.03, 0.05]
     alpha = np.array([plaster, lino, plaster])
@@ -366,7 +366,7 @@ def test_a_later_change_may_cover_what_an_earlier_one_of_the_file_brought_in(res
         read_variants(chain.format(then, first), result.room)
 
 
-def of_faces(absorbing: dict[str, tuple[float, float]], *materials: str) -> rt.Room:
+def of_faces(absorbing, *materials):
     """5 x 4 m: ceiling, floor and two pairs of walls, of materials with alpha and relative sigma."""
     rows = [rt.Material(n, [a] * 3, [u * a] * 3) for n, (a, u) in absorbing.items()]
     faces = zip("ABCD", materials, (20, 20, 26, 24), "zzxy", strict=True)
@@ -430,7 +430,7 @@ def test_what_does_not_fit_is_refused(result, call, error, place):
 BOARD = rt.Material("panel", [0.8, 0.9], [0.1, 0.1])
 
 
-def two_materials() -> rt.Room:
+def two_materials():
     return room_of(
         {"wall": (100, [0.2, 0.25], 0.04), "floor": (30, [0.1, 0.12], 0.04)},
         [500, 1000],
@@ -463,7 +463,7 @@ def test_changes_keep_the_books():
     assert after.alpha[after.materials.index(first)].tolist() == room.alpha[0].tolist()
 
 
-def of_program(t: np.ndarray) -> rt.Measurement:
+def of_program(t):
     return rt.Measurement.from_values(BANDS, t20=t)
 
 

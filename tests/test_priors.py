@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike
 from scipy import stats
 
 import rtcal as rt
@@ -15,12 +14,12 @@ from rtcal.support.normal import FINE, truncated_moments, truncated_normal
 from tests.conftest import room_of
 
 
-def moments(mu: ArrayLike, sigma: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+def moments(mu, sigma):
     """Mean and variance of the normal distribution cut to 0 to 1."""
     return truncated_moments(np.asarray(mu, float), np.square(sigma), 0.0, 1.0, FINE)
 
 
-def sample(mu: float, sigma: float, seed: int) -> np.ndarray:
+def sample(mu, sigma, seed):
     ends = (np.full(20_000, (end - mu) / sigma) for end in (0.0, 1.0))
     drawn = truncated_normal(*ends, np.random.default_rng(seed).random(20_000))
     return np.clip(mu + sigma * drawn, 0, 1)

@@ -1,6 +1,5 @@
 """The finder's beliefs: priors, probabilities, families, coefficients that are off together."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from unittest.mock import Mock
 
@@ -31,7 +30,7 @@ F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
 
 
-def room(sigma: float = 0.3, **more: object) -> rt.Room:
+def room(sigma=0.3, **more):
     facts = {
         "name": "hall",
         "volume": 400.0,
@@ -45,7 +44,7 @@ def room(sigma: float = 0.3, **more: object) -> rt.Room:
     return rt.Room(**(facts | more))
 
 
-def measured(truth: Case, *, stated: bool = True) -> rt.Measurement:
+def measured(truth, *, stated=True):
     """Return what a case's model predicts, as a measurement of three parameters."""
     (row,) = predict([state(truth, truth.configurations[0])], np.array([5.0])).features
     t20 = np.exp(row[0])
@@ -56,20 +55,20 @@ def measured(truth: Case, *, stated: bool = True) -> rt.Measurement:
     )
 
 
-def case_of(model: rt.Room, truth: rt.Room, *, stated: bool = True) -> Case:
+def case_of(model, truth, *, stated=True):
     some = rt.Measurement.from_values(F, t20=np.ones(6))
     made = Case(room=truth, configurations=[Configuration(name="A", measured=some)])
     real = Configuration(name="A", measured=measured(made, stated=stated))
     return Case(room=model, configurations=[real])
 
 
-def controls(case: Case) -> list[ControlRooms]:
+def controls(case):
     rng = np.random.default_rng(1)
     shape = (24, len(case.configurations), 5, case.room.n_bands)
     return [ControlRooms(f"engine {i}", 0.01 * rng.standard_normal(shape)) for i in (1, 2)]
 
 
-def louder() -> Case:
+def louder():
     """A room whose coefficients are all twice what is stated at 125 Hz, and a third more at 4 kHz."""
     factor = np.geomspace(2.4, 1.6, 6)
     return case_of(room(), room(alpha=np.minimum(ALPHA * factor, 0.95)))
@@ -169,7 +168,7 @@ def test_a_room_s_coupling_is_claimed_by_its_family():
     assert conclude(None, probabilities, families, rough).verdict == "named"
 
 
-def with_levels(*, stated: bool) -> Case:
+def with_levels(*, stated):
     """Two configurations with T20 and C80 as predicted at a distance that is not stated."""
     one = case_of(room(0.02), room(0.02))
     (row,) = predict([state(one, one.configurations[0])], np.array([5.0])).features
@@ -206,7 +205,7 @@ def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is():
     third = replace(second, name="C", changes={name: covered})
     configurations = [first, replace(second, changes={name: covered}), third]
 
-    def applied(covered: Sequence[Configuration]) -> np.ndarray:
+    def applied(covered):
         case = replace(one, configurations=covered)
         shape = (len(covered), 5, 6)
         return predict_hypotheses(case, []).applied.reshape(shape * 2)

@@ -37,7 +37,7 @@ def test_drawing_a_wall_as_several_polygons_changes_nothing():
         rt.Material("carpet", [0.2, 0.4], [0.1, 0.1]),
     ]
 
-    def room(*walls: float) -> rt.Room:
+    def room(*walls):
         surfaces = [rt.Surface(f"wall {i}", "plaster", a) for i, a in enumerate(walls)]
         return rt.Room.from_surfaces(
             name="r",
@@ -181,7 +181,7 @@ def test_what_a_solver_does_not_know_is_refused(cr2):
 EYRING = rt.Eyring()
 
 
-def cases(count: int, n: int = 6, k: int = 4) -> list[tuple[rt.Room, np.ndarray]]:
+def cases(count, n=6, k=4):
     """Rooms of one shape; in every other one, T pushes coefficients to their bounds."""
     made = []
     for seed in range(count):
@@ -205,7 +205,7 @@ def test_threads_share_one_problem(compilations):
     given = cases(24)
     ready = threading.Barrier(8)
 
-    def solve(some: list[tuple[rt.Room, np.ndarray]]) -> list[np.ndarray]:
+    def solve(some):
         ready.wait(30)
         return [rt.calibrate(room, t, "soft").alpha for room, t in some]
 

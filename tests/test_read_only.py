@@ -1,7 +1,7 @@
 """Code of one's own gets arrays that it cannot change: else its caller's numbers would change."""
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -11,14 +11,13 @@ from rtcal import terms
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects import Effect, changed_states
 from rtcal.finder.means.problem import state
-from rtcal.finder.model import RoomState
 from rtcal.support.errors import DataError
 
 
 def test_a_loop_cannot_be_changed_from_after_step(cr2):
     room, measured = cr2
 
-    def meddles(loop: rt.loop.Loop) -> None:
+    def meddles(loop):
         for name in ("alpha", "simulated", "target", "noise"):
             array = getattr(loop.steps[-1], name)
             with pytest.raises(ValueError, match="read-only"):
@@ -54,10 +53,10 @@ class Painted(Effect):
     size: ClassVar[str] = "share"
     unit: ClassVar[str] = ""
 
-    def grid(self, state: RoomState) -> list[dict[str, float]]:
+    def grid(self, state):
         return [{"share": 0.5}, {"share": 0.9}]
 
-    def change(self, state: RoomState, parameters: Any) -> RoomState:
+    def change(self, state, parameters):
         alpha = state.alpha
         alpha *= parameters["share"]
         return replace(state, alpha=alpha)
@@ -75,10 +74,10 @@ def test_an_effect_cannot_change_the_state(cr2):
 
 @pytest.mark.parametrize("what", ["mu", "sigma", "areas", "target", "lower"])
 def test_a_term_cannot_change_the_numbers(cr2, what):
-    def meddling(m: terms.Model) -> Any:
+    def meddling(m):
         """A term of one's own whose parameter changes what it is computed of."""
 
-        def meddle(numbers: Any) -> Any:
+        def meddle(numbers):
             values = getattr(numbers, what)
             values *= 1.01
             return 1.0

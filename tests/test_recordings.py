@@ -1,7 +1,5 @@
 """Recorded sweeps and interrupted noise: known decays come back, and what is neither is refused."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,21 +15,21 @@ soundfile = pytest.importorskip("soundfile")
 BANDS = [250, 500, 1000, 2000]
 
 
-def sweep(rate: int, seconds: float = 3.0, low: float = 60.0) -> np.ndarray:
+def sweep(rate, seconds=3.0, low=60.0):
     """An exponential sweep up to 0.45 of the rate, faded in and out."""
     time, ratio = np.arange(int(seconds * rate)) / rate, np.log(0.45 * rate / low)
     fade = np.minimum(1, np.minimum(time, time[::-1]) * 50)
     return 0.5 * fade * np.sin(2 * np.pi * low * seconds / ratio * np.exp(time / seconds * ratio))
 
 
-def response(t: float, rate: int, rng: np.random.Generator, late: float = 0.0) -> np.ndarray:
+def response(t, rate, rng, late=0.0):
     """A direct sound and noise that decays by 60 dB in t; ``late``, of that energy, in 4 t."""
     time = np.arange(int(1.3 * (t if not late else 4 * t) * rate)) / rate
     energy = 10 ** (-6 * time / t) + late * 10 ** (-6 * time / (4 * t))
     return np.concatenate([[10.0], rng.standard_normal(len(time)) * np.sqrt(energy)])
 
 
-def recorded(played: np.ndarray, h: np.ndarray, rate: int, lead: float = 0.2) -> np.ndarray:
+def recorded(played, h, rate, lead=0.2):
     n = len(played) + len(h)
     sound = np.fft.irfft(np.fft.rfft(played, 2 * n) * np.fft.rfft(h, 2 * n), 2 * n)[:n]
     sound = np.concatenate([np.zeros(int(lead * rate)), sound])
@@ -39,7 +37,7 @@ def recorded(played: np.ndarray, h: np.ndarray, rate: int, lead: float = 0.2) ->
     return 0.7 * sound / np.abs(sound).max() + 1e-5 * rng.standard_normal(len(sound))
 
 
-def written(path: Path, samples: np.ndarray, rate: int) -> Path:
+def written(path, samples, rate):
     soundfile.write(path, samples, rate, subtype="PCM_24")
     return path
 
@@ -76,7 +74,7 @@ def test_bands_are_those_that_the_sweep_excites(tmp_path):
         recordings.from_sweep(*files, bands=[250, 500])
 
 
-def image_sources(rate: int, rng: np.random.Generator) -> np.ndarray:
+def image_sources(rate, rng):
     """A box of image sources to 0.3 s, of walls that absorb more at high frequencies, and noise."""
     size = rng.uniform([3, 3, 2.4], [20, 15, 7])
     source, receiver = rng.uniform(0.15, 0.85, (2, 3)) * size
@@ -130,7 +128,7 @@ def test_noise_above_the_sweep_is_not_inverted():
     assert np.square(h[: peak - 100]).mean() < 1e-4 * h[peak] ** 2
 
 
-def faults() -> dict[str, tuple[np.ndarray, str]]:
+def faults():
     """Recordings that hold no response, by kind, and what is said."""
     rate, rng = 16000, np.random.default_rng(4)
     played = sweep(rate)
@@ -185,14 +183,7 @@ def test_a_wrong_gain_is_noted(tmp_path, gain, note):
     assert sum(note in each for each in notes) == 1
 
 
-def stopped(
-    t: float,
-    rate: int,
-    rng: np.random.Generator,
-    n: int = 3,
-    noise: float = 1e-3,
-    late: float = 0.0,
-) -> np.ndarray:
+def stopped(t, rate, rng, n=3, noise=0.001, late=0.0):
     """Noise through a response, on for 1.5 s and off for 1.5 T or 1 s, n times, with noise."""
     h = response(t, rate, rng, late)
     on, off = int(1.5 * rate), int(max(1.5 * (4 * t if late else t), 1.0) * rate)

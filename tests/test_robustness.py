@@ -11,7 +11,7 @@ from rtcal.support.errors import DataError, RtcalError
 AIR = rt.Air()
 
 
-def room(**changes) -> rt.Room:
+def room(**changes):
     values = {
         "name": "x",
         "volume": 200,
@@ -90,7 +90,7 @@ def test_a_soft_match_is_not_made_exact_behind_ones_back():
     assert np.abs(exact.gap_after).max() < 1e-9
 
 
-def solved(*more, **given) -> rt.calibration.result.CalibrationResult:
+def solved(*more, **given):
     """A composed calibration of the room, with these constraints beside the match."""
     terms = given.pop("objective", rt.terms.PriorDeviation())
     return rt.Calibration(terms, [rt.terms.ExactMatch(), *more]).build(room()).solve([0.8, 0.75])

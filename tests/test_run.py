@@ -14,7 +14,7 @@ F = [500.0, 1000.0]
 PAIRS = [("S1", "R1"), ("S1", "R2")]
 
 
-def box(**changes: object) -> rt.Room:
+def box(**changes):
     stated = {
         "name": "box",
         "volume": 120,
@@ -28,7 +28,7 @@ def box(**changes: object) -> rt.Room:
     return rt.Room(**(stated | changes))
 
 
-def of_pairs(pairs: list[tuple[str, str]] = PAIRS, **values: object) -> rt.Measurement:
+def of_pairs(pairs=PAIRS, **values):
     return rt.Measurement(centre_frequencies=F, values=values, pairs=pairs)
 
 
@@ -147,9 +147,7 @@ def test_a_run_of_another_room_is_refused(changed, named):
         run.refuse_other(box(**changed))
 
 
-def measurement(
-    rng: np.random.Generator, pairs: list[tuple[str, str]] | None = None
-) -> rt.Measurement:
+def measurement(rng, pairs=None):
     shape = (1 if pairs is None else len(pairs), 2)
     values = {
         "t20": np.exp(rng.normal(0, 0.3, shape)),

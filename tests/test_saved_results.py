@@ -1,14 +1,12 @@
 """Every kind of result is written to a folder and read back: it prints, states and shows the same."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.files.saved import NUMBERS, Result, plain, restored
+from rtcal.files.saved import NUMBERS, plain, restored
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.report.pages import page_of
 from rtcal.simulators import of_equation
@@ -18,7 +16,7 @@ from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
 
 
-def back(result: Result, folder: Path) -> Any:
+def back(result, folder):
     """Return a result after it was saved and loaded; its text and its numbers are the same."""
     result.save(folder)
     again = rt.load(folder)

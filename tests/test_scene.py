@@ -17,7 +17,7 @@ STATED = rt.Scene(
 )
 
 
-def room(**stated: object) -> rt.Room:
+def room(**stated):
     return room_of(
         {"floor": (20, 0.4, 0.1), "rest": (74, 0.6, 0.1)},
         [1000],

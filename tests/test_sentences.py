@@ -21,7 +21,7 @@ _NEXT_PARAGRAPH = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )|\n(?=\s*\|)|\|")
 _NEXT_SENTENCE = re.compile(r"(?<=[.!?])(?:\*\*)?\s+(?=[^a-z\s])")
 
 
-def too_long(text: str, most: int = MOST) -> list[str]:
+def too_long(text, most=MOST):
     """Return the sentences of a page in Markdown with more than ``most`` words."""
     prose = _AS_A_WORD.sub("Code", _BLOCK.sub("\n\n", text))
     prose = _LINK.sub(r"\1", prose)

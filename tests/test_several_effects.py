@@ -1,6 +1,5 @@
 """Several effects at once: the evidence of sets, their prior, and what is said of each effect."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import exp, factorial
@@ -10,7 +9,7 @@ import pytest
 from scipy.stats import multivariate_t
 
 import rtcal as rt
-from rtcal.finder import Case, Configuration, Effect, Finding, library
+from rtcal.finder import Case, Configuration, library
 from rtcal.finder import evidence as densities
 from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.evidence import DEGREES, UNKNOWN, prior_of
@@ -47,7 +46,7 @@ BOTH = (
 )
 
 
-def measured(features: np.ndarray) -> rt.Measurement:
+def measured(features):
     """Return what a model predicts, as a measurement of a pair at 5 m."""
     values = natural(features)
     spread = {k: 0.01 * v if k in ("t20", "edt", "t30") else 0.2 for k, v in values.items()}
@@ -58,7 +57,7 @@ def measured(features: np.ndarray) -> rt.Measurement:
     )
 
 
-def case_with(*effects: AppliedEffect) -> Case:
+def case_with(*effects):
     """A case whose measurement is what the model predicts with the effects in it."""
     materials = zip(AREAS, ALPHA, 0.005 + 0.03 * ALPHA, strict=True)
     of_names = dict(zip("abcd", materials, strict=True))
@@ -70,22 +69,22 @@ def case_with(*effects: AppliedEffect) -> Case:
     return replace(case, configurations=[replace(blank, measured=measured(features))])
 
 
-def compared(*effects: AppliedEffect) -> MeansProblem:
+def compared(*effects):
     return compared_case(case_with(*effects), library())
 
 
-def compared_case(case: Case, effects: Sequence[Effect]) -> MeansProblem:
+def compared_case(case, effects):
     observed, _ = observe(case)
     error = estimate_discrepancy(case, controls_of(case, 0.01))
     return compare(MeansProblem(case, observed, predict_hypotheses(case, effects), error))
 
 
-def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> Finding:
+def sought(case, only=FEW, **more):
     more = {"most": 3, **more}
     return find(case, only=only, controls=controls_of(case, 0.01), **more)
 
 
-def row(c: MeansProblem, name: str, place: int = 3) -> int:
+def row(c, name, place=3):
     return [i for i, n in enumerate(c.predicted.names) if n == name][place]
 
 
@@ -126,7 +125,7 @@ def test_a_set_has_an_error_of_the_direct_sound():
     np.testing.assert_array_equal(features_of(case), features_of(case, far=1.0))
 
 
-def at_the_points(c: MeansProblem) -> MeansProblem:
+def at_the_points(c):
     """Without the error of what lies between the grid's points."""
     return replace(c, cells=np.zeros_like(c.cells))
 

@@ -18,7 +18,7 @@ DIMENSIONS = (5.0, 7.0, 3.0)
 ALPHA = np.array([[0.1, 0.2], [0.2, 0.3], [0.3, 0.1], [0.15, 0.25], [0.4, 0.5], [0.05, 0.6]])
 
 
-def box(air: rt.Air | None = None) -> rt.Room:
+def box(air=None):
     """A shoebox of six materials, in two bands."""
     geometry = Polyhedron.shoebox(DIMENSIONS, {w: w for w in SHOEBOX_WALLS})
     return rt.Room.from_surfaces(
@@ -32,7 +32,7 @@ def box(air: rt.Air | None = None) -> rt.Room:
     )
 
 
-def first_order(air: np.ndarray, alpha: np.ndarray) -> list[tuple[float, np.ndarray]]:
+def first_order(air, alpha):
     """Length in m and amplitude (n_bands,) of the direct sound and the six first reflections."""
     source, receiver = np.array(SOURCE["S"]), np.array(APART["R"])
     found = [(float(np.linalg.norm(source - receiver)), np.ones(2))]
@@ -152,7 +152,7 @@ def test_late_images_have_their_mean_over_positions():
         np.testing.assert_allclose(*both, rtol=0.03)
 
 
-def _triples(places: list[np.ndarray]) -> list[tuple]:
+def _triples(places):
     x, y, z = (list(enumerate(p)) for p in places)
     return [(a, b, c) for a in x for b in y for c in z]
 

@@ -22,14 +22,14 @@ pytestmark = [
 class Page(HTMLParser):
     """A built page: its links, what it loads, and where it can be linked to."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         super().__init__()
-        self.links: list[str] = []
-        self.loaded: list[str] = []
-        self.anchors: set[str] = set()
+        self.links = []
+        self.loaded = []
+        self.anchors = set()
         self.feed(path.read_text(encoding="utf-8"))
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+    def handle_starttag(self, tag, attrs):
         given = dict(attrs)
         self.anchors |= {v for k in ("id", "name") if (v := given.get(k))}
         if tag == "a" and (href := given.get("href")) is not None:

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +58,7 @@ def test_file_round_trip(tmp_path):
         rt.calibrate(again, measured)
 
 
-def long(*values: object) -> Any:
+def long(*values):
     """A process that imports a solver takes more than a second; other tests call the command itself."""
     return pytest.param(*values, marks=pytest.mark.long)
 
@@ -67,7 +66,7 @@ def long(*values: object) -> Any:
 CALIBRATE = ["calibrate", "room.toml", "measured.csv"]
 
 
-def fails_with(error: str) -> str:
+def fails_with(error):
     """Return code after which calibration raises ``error``: no input makes a solver fail at will."""
     return f"""
 import rtcal.calibration.methods as methods
@@ -122,7 +121,7 @@ def test_exit_code_of_a_full_output(tmp_path):
     assert (done.returncode, done.stderr) == (5, "rtcal: cannot print: No space left on device\n")
 
 
-def command(folder, arguments: list[str], setting: str, **streams) -> subprocess.CompletedProcess:
+def command(folder, arguments, setting, **streams):
     """Run the command in a folder with a room, a measurement and a calibration."""
     room, measured = rt.datasets.bras_cr2()
     room.save(folder / "room.toml")

@@ -3,7 +3,6 @@
 import sys
 import tomllib
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,17 +18,12 @@ from tests.conftest import also
 RATE = 8000
 
 
-def decay(seconds: float, seed: int = 1) -> np.ndarray:
+def decay(seconds, seed=1):
     time = np.arange(RATE) / RATE
     return np.random.default_rng(seed).normal(size=RATE) * 10 ** (-3 * time / seconds)
 
 
-def file(
-    path: Path,
-    times: tuple[float, ...] = (0.5, 0.6),
-    convention: str = "SingleRoomSRIR",
-    **entries: object,
-) -> Path:
+def file(path, times=(0.5, 0.6), convention="SingleRoomSRIR", **entries):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         made = sofar.Sofa(convention)
@@ -120,13 +114,7 @@ def test_measure_writes_the_positions_for_the_room(tmp_path):
     }
 
 
-def balloon(
-    path: Path,
-    convention: str = "FreeFieldDirectivityTF",
-    aim: tuple[float, ...] = (0, 1, 0),
-    lowest: int = -90,
-    **entries: object,
-) -> Path:
+def balloon(path, convention="FreeFieldDirectivityTF", aim=(0, 1, 0), lowest=-90, **entries):
     """Write lobes of 0 and 6 dB (500 Hz, 1 kHz) on a grid of 10 degrees; the file's axis is +y."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -1,7 +1,6 @@
 """Walls that are drawn as closed solids: the cavity between them is the room, or there is none."""
 
 import itertools
-from pathlib import Path
 
 import pytest
 
@@ -14,27 +13,27 @@ Box = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
 SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
 L, W, H, D = 7.0, 5.0, 3.0, 0.25
 """Length, width and height of the room, and the walls' thickness, in m."""
-FLOOR: Box = ("slab", "screed", (-D, -D, -D), (L + D, W + D, 0))
-ROOF: Box = ("roof", "concrete", (-D, -D, H), (L + D, W + D, H + D))
-BUTT: list[Box] = [
+FLOOR = ("slab", "screed", (-D, -D, -D), (L + D, W + D, 0))
+ROOF = ("roof", "concrete", (-D, -D, H), (L + D, W + D, H + D))
+BUTT = [
     ("south", "brick", (-D, -D, 0), (L + D, 0, H)),
     ("north", "brick", (-D, W, 0), (L + D, W + D, H)),
     ("east", "brick", (L, 0, 0), (L + D, W, H)),
     ("west", "brick", (-D, 0, 0), (0, W, H)),
 ]
-OVERLAPPING: list[Box] = [
+OVERLAPPING = [
     ("south", "brick", (-D, -D, 0), (L + D, 0, H)),
     ("north", "brick", (-D, W, 0), (L + D, W + D, H)),
     ("east", "brick", (L, -D, 0), (L + D, W + D, H)),
     ("west", "brick", (-D, -D, 0), (0, W + D, H)),
 ]
-THROUGH: list[Box] = [  # walls that reach through slab and roof
+THROUGH = [  # walls that reach through slab and roof
     (name, material, (*low[:2], -D), (*high[:2], H + D))
     for name, material, low, high in OVERLAPPING
 ]
 
 
-def obj(path: Path, boxes: list[Box], *, triangles: bool = False, turned: bool = False) -> Path:
+def obj(path, boxes, *, triangles=False, turned=False):
     rows, n = [], 0
     for name, material, low, high in boxes:
         rows += [f"o {name}", f"usemtl {material}"]
@@ -64,8 +63,8 @@ def test_the_cavity_between_solids_is_the_room(walls, triangles, turned, tmp_pat
 
 
 def test_furniture_stands_in_the_cavity(tmp_path):
-    desk: Box = ("desk", "wood", (2, 2, 0), (3, 3.5, 0.75))
-    lamp: Box = ("lamp", "steel", (2, 2, 2), (3, 3, 2.2))
+    desk = ("desk", "wood", (2, 2, 0), (3, 3.5, 0.75))
+    lamp = ("lamp", "steel", (2, 2, 2), (3, 3, 2.2))
     done = mesh.room(obj(tmp_path / "m.obj", [*BUTT, desk, FLOOR, lamp, ROOF]))
     assert done.volume == pytest.approx(L * W * H - 1.5 * 0.75 - 0.2, rel=1e-6)
     assert done.areas["wood"] == pytest.approx(1.5 + 2 * 2.5 * 0.75, rel=1e-6)

@@ -11,7 +11,7 @@ pytest.importorskip("qpbenchmark")
 pytest.importorskip("piqp")
 
 from benchmarks.solvers import render, run, truth
-from benchmarks.solvers.cases import Case, Rooms
+from benchmarks.solvers.cases import Rooms
 
 
 @pytest.fixture(scope="module")
@@ -29,12 +29,12 @@ def feasible(cases):
     return cases["random 6 x 8 no 0"]
 
 
-def right(case: Case, test_set: Rooms) -> run.Found:
+def right(case, test_set):
     settings = test_set.solver_settings["high_accuracy"]
     return run.by_qpsolvers("clarabel", case, settings, "high_accuracy")
 
 
-def judged(case: Case, test_set: Rooms, **broken: object) -> run.Row:
+def judged(case, test_set, **broken):
     found = dataclasses.replace(right(case, test_set), **broken)
     return run.judge(case, "broken", "mid_accuracy", found, test_set.tolerances["mid_accuracy"])
 

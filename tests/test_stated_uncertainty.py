@@ -17,7 +17,7 @@ F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 PAIRS = [("S1", "R1"), ("S1", "R2"), ("S1", "R3"), ("S1", "R4")]
 
 
-def measured() -> rt.Measurement:
+def measured():
     rng = np.random.default_rng(3)
     t20 = np.array([1.4, 1.3, 1.2, 1.1, 1.0, 0.8]) * np.exp(0.01 * rng.standard_normal((4, 6)))
     values = {
@@ -29,7 +29,7 @@ def measured() -> rt.Measurement:
     return rt.Measurement(centre_frequencies=np.array(F), values=values, pairs=PAIRS)
 
 
-def hall() -> rt.Room:
+def hall():
     return room_of({"plaster": (340.0, 0.15, 0.05)}, F, 400.0, name="hall")
 
 
@@ -68,7 +68,7 @@ def test_what_is_common_does_not_average_out():
 
 
 def test_the_finder_takes_what_is_written_as_what_it_would_have_made():
-    def seen(m: rt.Measurement) -> tuple[np.ndarray, str]:
+    def seen(m):
         case = Case(room=hall(), configurations=[Configuration(name="A", measured=m)])
         observed, _ = observe(case.only("t20", "edt"))
         return np.sqrt(np.diag(observed.covariance)), str(observed.origin)

@@ -1,7 +1,6 @@
 """A stated volume is believed: an equation that gives too little T is no wrong volume."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ SEATS, PLASTER = [0.28, 0.42, 0.58, 0.66, 0.7, 0.68], [0.1, 0.08, 0.06, 0.05, 0.
 WOOD, STAGE = [0.15, 0.12, 0.1, 0.08, 0.07, 0.07], [0.3, 0.25, 0.2, 0.15, 0.1, 0.1]
 
 
-def hall(relative: float, **stated: Any) -> rt.Room:
+def hall(relative, **stated):
     alpha = np.array([SEATS, PLASTER, WOOD, STAGE])
     return rt.Room(
         **{
@@ -39,7 +38,7 @@ def hall(relative: float, **stated: Any) -> rt.Room:
     )
 
 
-def heard(room: rt.Room, ratio: float, seed: int = 0) -> rt.Measurement:
+def heard(room, ratio, seed=0):
     """T by the equation times a ratio, as measured at twelve positions."""
     noise = np.exp(0.02 * np.random.default_rng(seed).standard_normal((2, len(F))))
     t20, edt = rt.Eyring().reverberation_time(room) * ratio * noise
@@ -51,14 +50,14 @@ def heard(room: rt.Room, ratio: float, seed: int = 0) -> rt.Measurement:
     )
 
 
-def found(room: rt.Room, measured: rt.Measurement, **options: Any) -> Finding:
+def found(room, measured, **options):
     case = Case(room=room, configurations=[Configuration(name="A", measured=measured)])
     finding = rt.find(case, **({"controls": controls_of(case)} | options))
     assert isinstance(finding, Finding)
     return finding
 
 
-def believed(finding: Finding) -> bool:
+def believed(finding):
     """Whether a volume is neither claimed nor the first with 0.3."""
     volume = finding.probabilities["volume"]
     first = next(name for name in finding.probabilities if name != "none")

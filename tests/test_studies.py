@@ -14,14 +14,12 @@ SHOEBOX = np.array(studies.paper.SHOEBOX)
 HALL = np.array(list(studies.paper.LECTURE_HALL.values()))
 
 
-def drawn(
-    n: int = 6, sigma_r: float = 0.1, count: int = 20, seed: int = 0
-) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
+def drawn(n=6, sigma_r=0.1, count=20, seed=0):
     rng = np.random.default_rng(seed)
     return rng, *paper.realisations(rng, count, n, sigma_r)
 
 
-def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
+def by_method(table):
     return {(str(row.method), bool(row.bounded)): row for row in table}
 
 
@@ -130,7 +128,7 @@ def test_analytic_emse_is_the_mean_over_trials():
 # Scores -------------------------------------------------------------------------------------------
 
 
-STATED: dict[paper.Sampling, dict[str, tuple[float, ...]]] = {
+STATED = {
     # Own simulations of 60 studies of 10,000 rooms (issue 36), and STATISTICS.md.
     "sigma_r": {
         "scaling": (4.34, 5.48, 6.44),
@@ -145,7 +143,7 @@ STATED: dict[paper.Sampling, dict[str, tuple[float, ...]]] = {
 }
 
 
-def distances(which: paper.Sampling) -> dict[tuple[str, float], float]:
+def distances(which):
     """Distance of Table 2's scores from ours, in standard deviations of a study of 10,000 rooms."""
     rooms, found = 100_000, {}
     for k, level in enumerate(paper.SIGMA_R):

@@ -2,7 +2,6 @@
 
 import datetime
 import sys
-from typing import Any
 
 import numpy as np
 import openpyxl
@@ -18,23 +17,23 @@ ACROSS = [["Frequency (Hz)", "S1R1", "S1R2"], [125, 1.5, 1.6], [250, 1.4, 1.3]]
 ROWS = [["source", "receiver", "125", "250"], ["S1", "R1", 1.5, 1.4], [None, "R2", 1.6, 1.3]]
 
 
-def merged(made: Any) -> None:
+def merged(made):
     made["T20"].merge_cells("A2:A3")
 
 
-def hidden(made: Any) -> None:
+def hidden(made):
     made["old"].sheet_state = "hidden"
 
 
-def in_percent(made: Any) -> None:
+def in_percent(made):
     made["D50"]["B2"].number_format = "0.0%"
 
 
-def formula(made: Any) -> None:
+def formula(made):
     made["T20"]["B2"] = "=1+0.5"
 
 
-def dated(made: Any) -> None:
+def dated(made):
     made["T20"]["B2"] = datetime.datetime(2026, 5, 1)
 
 
@@ -120,7 +119,7 @@ PLACES = [["Position", 500, 1000], ["S1-R1", 1.5, 1.4], ["S2-R1", 1.6, 1.3]]
 
 
 def test_what_a_sheet_hides_is_left_out_and_what_it_strikes_through_is_said():
-    def change(made: Any) -> None:
+    def change(made):
         sheet = made["T20"]
         sheet.row_dimensions[3].hidden = True
         sheet.column_dimensions["C"].hidden = True

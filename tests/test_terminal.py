@@ -25,9 +25,9 @@ def test_an_error_is_one_line_where_no_one_looks(monkeypatch, capsys):
 
 
 def test_a_long_task_says_how_far_it_is_without_a_terminal(monkeypatch):
-    lines: list[str] = []
+    lines = []
 
-    def another_line() -> str:
+    def another_line():
         number, until = len(lines), time.monotonic() + 20
         while len(lines) == number and time.monotonic() < until:
             time.sleep(0.01)

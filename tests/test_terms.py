@@ -1,7 +1,6 @@
 """Every term: its cvxpy expression against plain NumPy at random points, and what it refuses."""
 
 from collections.abc import Callable
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -11,7 +10,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.feasibility import reach
 from rtcal.calibration.measured import times_in_room
-from rtcal.calibration.unknowns import Configurations, Layout, Numbers
+from rtcal.calibration.unknowns import Configurations, Numbers
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import random_room, true_times
 
@@ -27,7 +26,7 @@ DRAWN = np.random.default_rng(7).standard_normal((5, N * K + 1))
 DATA = terms.Observed(matrix=DRAWN[:, :-1], values=DRAWN[:, -1], covariance=np.eye(5))
 
 
-def numbers_of(seed: int, *objective: Any) -> Numbers:
+def numbers_of(seed, *objective):
     """Return the numbers of a room with a missing T, one sigma of 0 and a second configuration."""
     rng = np.random.default_rng(seed)
     room = random_room(rng, N, K)
@@ -51,7 +50,7 @@ def numbers_of(seed: int, *objective: Any) -> Numbers:
     return composed.numbers(measured, {SEEN: DATA} if SEEN in objective else None)
 
 
-def model_at(numbers: Numbers, x: np.ndarray) -> terms.Model:
+def model_at(numbers, x):
     """Return a model whose unknowns have the deviations x, (size,)."""
     m = terms.Model(numbers.layout)
     m.x.value = x[: N * K]
@@ -60,12 +59,12 @@ def model_at(numbers: Numbers, x: np.ndarray) -> terms.Model:
     return m
 
 
-def filled(m: terms.Model, numbers: Numbers) -> None:
+def filled(m, numbers):
     for parameter, compute in m.parameters:
         parameter.value = np.reshape(compute(numbers), parameter.shape)
 
 
-def value_of(term: Any, numbers: Numbers, x: np.ndarray) -> float:
+def value_of(term, numbers, x):
     """Return a term's expression at the deviations x, minimised over the variables of its own.
 
     Where sigma = 0 the deviation is free: the coefficient is known, whatever it is.
@@ -82,18 +81,18 @@ def value_of(term: Any, numbers: Numbers, x: np.ndarray) -> float:
     return float(problem.value)
 
 
-def u_of(numbers: Numbers, x: np.ndarray) -> np.ndarray:
+def u_of(numbers, x):
     return numbers.mu + numbers.sigma * x
 
 
-def left(numbers: Numbers, x: np.ndarray) -> np.ndarray:
+def left(numbers, x):
     """S'alpha - b of all configurations and bands, in m², 0 without T."""
     u = u_of(numbers, x)
     area = numbers.areas @ numbers.alpha(u) + numbers.gains @ numbers.further(u)
     return np.where(numbers.matched, area - numbers.target, 0.0)
 
 
-def gaussian(numbers: Numbers, x: np.ndarray, r: np.ndarray) -> float:
+def gaussian(numbers, x, r):
     """½ x'R⁻¹x over the coefficients with sigma > 0: others are integrated out."""
     moves = numbers.sigma[: N * K] > 0
     return 0.5 * float(
@@ -101,7 +100,7 @@ def gaussian(numbers: Numbers, x: np.ndarray, r: np.ndarray) -> float:
     )
 
 
-def correlation(numbers: Numbers, of_bands: float, *, common: bool = False) -> np.ndarray:
+def correlation(numbers, of_bands, *, common=False):
     """R by its definition: bands by octaves apart, m1 and m3 by 0.5, and q q' of a common part."""
     octaves = np.log2(np.array(numbers.layout.centre_frequencies))
     between = np.eye(N)
@@ -111,12 +110,12 @@ def correlation(numbers: Numbers, of_bands: float, *, common: bool = False) -> n
     return r + np.outer(q, q) if common else r
 
 
-def huber(x: np.ndarray, t: float, e: float) -> float:
+def huber(x, t, e):
     a = np.abs(x)
     return float(np.sum(e * a**2 / 2 + (1 - e) * np.where(a <= t, a**2 / 2, t * a - t**2 / 2)))
 
 
-def uncertain(numbers: Numbers, x: np.ndarray) -> float:
+def uncertain(numbers, x):
     used = numbers.matched.ravel()
     noise = np.diag(np.nan_to_num(numbers.target_uncertainty).ravel() ** 2)
     covariance = (noise + numbers.room_changes.T @ numbers.room_changes)[np.ix_(used, used)]
@@ -124,24 +123,24 @@ def uncertain(numbers: Numbers, x: np.ndarray) -> float:
     return 0.5 * float(r @ np.linalg.solve(covariance, r))
 
 
-def smooth(numbers: Numbers, x: np.ndarray) -> float:
+def smooth(numbers, x):
     moves = numbers.alpha(numbers.sigma) > 0
     both = moves[:, 1:] & moves[:, :-1]
     steps = np.diff(numbers.alpha(x), axis=1) ** 2
     return 0.5 * float(np.sum(steps * both / np.diff(np.log2(numbers.layout.centre_frequencies))))
 
 
-def free(numbers: Numbers, x: np.ndarray) -> np.ndarray:
+def free(numbers, x):
     return x[: N * K][numbers.sigma[: N * K] > 0]
 
 
-def observed(numbers: Numbers, x: np.ndarray) -> float:
+def observed(numbers, x):
     residual = np.linalg.qr(DATA.matrix)[0].T @ (DATA.values - DATA.matrix @ u_of(numbers, x))
     return 0.5 * float(residual @ residual)
 
 
 Value = Callable[[Numbers, np.ndarray], float]
-OBJECTIVE: dict[str, tuple[Any, Value]] = {
+OBJECTIVE = {
     "prior": (terms.PriorDeviation(), lambda of, x: 0.5 * float(free(of, x) @ free(of, x))),
     "correlated": (CORRELATED, lambda of, x: gaussian(of, x, correlation(of, 0.7))),
     "correlated and together": (
@@ -176,7 +175,7 @@ def test_an_objective_term_has_its_value(name, seed):
         assert value_of(term, numbers, x) == pytest.approx(wanted, rel=1e-6)
 
 
-def within(numbers: Numbers) -> tuple[np.ndarray, np.ndarray]:
+def within(numbers):
     """The excess of S'alpha over b in m² of T 5 % longer and shorter, 0 without T."""
     ends = (
         np.array(
@@ -187,11 +186,11 @@ def within(numbers: Numbers) -> tuple[np.ndarray, np.ndarray]:
     return tuple(np.nan_to_num(end - numbers.target) for end in ends)
 
 
-def group(numbers: Numbers, x: np.ndarray, members: list[int]) -> np.ndarray:
+def group(numbers, x, members):
     return numbers.areas[0, members] @ numbers.alpha(u_of(numbers, x))[members]
 
 
-ROWS: dict[str, tuple[Any, Callable[[Numbers, np.ndarray], np.ndarray]]] = {
+ROWS = {
     "exact": (terms.ExactMatch(), lambda of, x: np.abs(left(of, x)).ravel()),
     "within": (
         terms.MatchWithin(1.0),
@@ -265,7 +264,7 @@ def test_groups_of_shared_materials_stay_apart():
     room = room.replace(alpha=np.full((5, 2), 0.3), sigma=np.full((5, 2), 0.1))
     shared = [terms.Shared("m1", "m3"), terms.Shared("m4", "m0")]
 
-    def layout(*constraints: Any) -> Layout:
+    def layout(*constraints):
         return rt.Calibration(terms.PriorDeviation(), constraints).build(room).layout
 
     assert layout(*shared).alpha_rows == (0, 1, 2, 1, 0)
@@ -273,7 +272,7 @@ def test_groups_of_shared_materials_stay_apart():
 
 
 P = terms.PriorDeviation
-REFUSED: list[tuple[Callable[[], Any], type[Exception], str]] = [
+REFUSED = [
     (lambda: P(sigma=0.0), DataError, "PriorDeviation"),
     (lambda: P(band_correlation=np.ones((4, 4))), DataError, "band_correlation"),
     (lambda: terms.HuberDeviation(threshold=-1), DataError, "threshold"),
@@ -312,17 +311,17 @@ def test_what_makes_no_sense_is_refused(make, error, place):
         make()
 
 
-def two(m: terms.Model) -> list[Any]:
+def two(m):
     return [m.deviation, m.deviation]
 
 
-def not_dpp(m: terms.Model) -> Any:
+def not_dpp(m):
     first, second = (m.parameter(m.deviation.shape, lambda of: of.alpha(of.mu)) for _ in range(2))
     return cp.sum_squares(cp.multiply(cp.multiply(first, second), m.deviation))
 
 
 SHARE = terms.Shared("m0", "m1")
-BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
+BUILT = [
     (P(material_correlation={("m0", "no"): 0.5}), [], DataError, '"no"'),
     (P(material_correlation={("m0", "m1"): 1.5}), [], ModelError, "definite"),
     (P(), [terms.Shared("m0", "no")], DataError, '"no"'),

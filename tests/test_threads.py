@@ -8,14 +8,14 @@ from threadpoolctl import threadpool_info
 from rtcal.support.speed import compiled, single_threaded_blas
 
 
-def threads() -> set[int]:
+def threads():
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
 def test_concurrent_contexts_give_the_threads_back():
     before, entered, leave = threads(), threading.Event(), threading.Event()
 
-    def other() -> None:
+    def other():
         with single_threaded_blas():
             entered.set()
             leave.wait(10)

@@ -159,7 +159,7 @@ WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 MATCH = ("t20", "edt", "c80", "ts", "level")
 
 
-def box(alpha: float, n_paths: int) -> PathTracing:
+def box(alpha, n_paths):
     geometry = Polyhedron.shoebox((5, 7, 3), {wall: wall for wall in WALLS})
     room = in_geometry(geometry, [1000], alpha)
     return PathTracing(

@@ -65,7 +65,7 @@ def test_every_mark_is_given_where_it_belongs_and_nowhere_else():
         "z": np.zeros(4),
     }
 
-    def kinds(of: rt.Room = room, **changes) -> set:
+    def kinds(of=room, **changes):
         return {(m.kind, m.frequency) for m in trust_marks(of, **{**quiet, **changes})}
 
     base = {("below_schroeder", 63), ("missing", 8000)}
@@ -141,7 +141,7 @@ def test_uncertainty_of_t_reaches_b_and_z(cr2):
     assert np.all(np.abs(result.plausibility.z) < np.abs(bare.plausibility.z))
 
 
-def _box(ceiling: float, **stated: object) -> rt.Room:
+def _box(ceiling, **stated):
     """A classroom of 8 x 7.5 x 3 m, its ceiling of other coefficients than the rest."""
     surfaces = [
         rt.Surface("ceiling", "tiles", 60, "z"),
@@ -216,13 +216,13 @@ EYRING = rt.Eyring()
 LACKS = "more absorption than these materials can have"
 
 
-def room(fixed: bool = False) -> rt.Room:
+def room(fixed=False):
     stone = (20, 0.02, 0.0 if fixed else 0.001)
     materials = {"wall": (150, 0.3, 0.002), "panel": (4, 0.9, 0.1), "stone": stone}
     return room_of(materials, [1000], 200, air=rt.Air(20, 50))
 
 
-def advice(result) -> list[str]:
+def advice(result):
     return [m.advice for m in result.trust_marks if m.kind == "at_bound"]
 
 

@@ -1,16 +1,12 @@
 """On which wall something changed between two measurements, with and without the directivity."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.finding import Finding
 from rtcal.report.finding_words import headline
-from rtcal.simulators import PathTracing
-from rtcal.support.types import Array
 from tests.test_where import heard, stated, tracing
 
 WALL = 1
@@ -27,7 +23,7 @@ POINT = rt.Directivity(index=0, aim=(1, 0, 0))
 """An omnidirectional source that says so."""
 
 
-def noisy(clean: rt.Measurement, rng: np.random.Generator) -> rt.Measurement:
+def noisy(clean, rng):
     """Return a measurement with noise of each value of its own: 2 %, and 0.2 dB."""
     values = {
         name: of * np.exp(0.02 * rng.standard_normal(of.shape))
@@ -38,14 +34,14 @@ def noisy(clean: rt.Measurement, rng: np.random.Generator) -> rt.Measurement:
     return replace(clean, values=values)
 
 
-def moved(alpha: Array, rows: Sequence[int], share: float) -> Array:
+def moved(alpha, rows, share):
     """Return alpha of each wall with some moved by a share of the way to 1."""
     out = alpha.copy()
     out[rows] += share * (1 - out[rows])
     return out
 
 
-def two_states() -> tuple[rt.Measurement, rt.Measurement]:
+def two_states():
     """Return the parameters before and after, by paths of other seeds that scatter otherwise.
 
     After, the east wall absorbs half of what it reflected. The stated coefficients are off by a fifth.
@@ -63,7 +59,7 @@ def states():
     return two_states()
 
 
-def simulator(directivity: dict[str, rt.Directivity]) -> PathTracing:
+def simulator(directivity):
     return tracing(stated(), directivity=directivity, sources=PLACES)
 
 
@@ -119,21 +115,21 @@ def states_gain():
     return before, after
 
 
-def of_values(state: rt.Measurement, values: Mapping[str, Array]) -> rt.Measurement:
+def of_values(state, values):
     renamed = {"level" if name == "g" else name: of for name, of in values.items()}
     return replace(state, values=renamed, uncertainty={}, common_uncertainty={})
 
 
-def with_gain(state: rt.Measurement, gain: Mapping[str, float]) -> rt.Measurement:
+def with_gain(state, gain):
     off = np.array([[gain.get(source, 0.0)] for source, _ in state.pairs])
     return of_values(state, {**state.values, "level": state.values["level"] + off})
 
 
-def without_level(state: rt.Measurement) -> rt.Measurement:
+def without_level(state):
     return of_values(state, {k: v for k, v in state.values.items() if k != "level"})
 
 
-def found(before: rt.Measurement, after: rt.Measurement) -> Finding:
+def found(before, after):
     model = simulator(dict.fromkeys(PLACES, POINT))
     return rt.find(model.room, after, model, before=before)
 

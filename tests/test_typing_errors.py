@@ -16,7 +16,7 @@ BANDS = [125, 250, 500, 1000, 2000, 4000]
 USUAL = [1.1, 1.3, 1.24, 1.2, 1.05, 0.84]
 
 
-def room(**stated: object) -> rt.Room:
+def room(**stated):
     tiles = [0.2, 0.25, 0.3, 0.35, 0.35, 0.4]
     materials = {"plaster": (120, 0.05, 0.02), "linoleum": (70, 0.04, 0.02)}
     materials |= {"tiles": (70, tiles, 0.1)}
@@ -75,7 +75,7 @@ def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_mi
     assert of_input(room().replace(alpha=alpha)) == ()
 
 
-def shipped() -> list[rt.Room]:
+def shipped():
     halls = rt.datasets.halls
     of_halls = [
         h().room for h in (halls.lecture_hall, halls.hard_hall, halls.theatre, halls.corridor)

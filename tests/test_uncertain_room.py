@@ -22,7 +22,7 @@ SABINE = rt.Sabine()
 EXACT = 1e-4  # relative uncertainty of T that method mle assumes
 
 
-def room_of(seed: int, *, small: bool = False, **stated: object) -> rt.Room:
+def room_of(seed, *, small=False, **stated):
     """A room without air, in which b is proportional to the volume."""
     rng = np.random.default_rng(seed)
     mu = rng.uniform(0.01, 0.04, (4, 4)) if small else rng.uniform(0.2, 0.6, (4, 4))
@@ -38,13 +38,13 @@ def room_of(seed: int, *, small: bool = False, **stated: object) -> rt.Room:
     )
 
 
-def times(room: rt.Room, seed: int, off: float = 0.1) -> np.ndarray:
+def times(room, seed, off=0.1):
     return SABINE.reverberation_time(room) * np.exp(
         off * np.random.default_rng(seed).standard_normal(room.n_bands)
     )
 
 
-def by_areas(room: rt.Room, t: np.ndarray, solver: str) -> np.ndarray:
+def by_areas(room, t, solver):
     """alpha of the QP in A = alpha S, with every S and the volume unknown, by another solver."""
     b, s0, mu, sigma = SABINE.target(room, t), room.areas, room.alpha, room.sigma
     n, k = mu.shape
@@ -81,7 +81,7 @@ def test_changes_of_the_target_are_derivatives(equation):
     changes = target_changes(equation, room, t)
     h = 1e-5
 
-    def difference(**off: object) -> np.ndarray:
+    def difference(**off):
         other = room.replace(**off)
         return equation.target(other, t) - other.absorption_area - base
 
@@ -227,7 +227,7 @@ def room():
     return rt.datasets.bras_cr2()[0].replace(surfaces=())
 
 
-def measured(room: rt.Room) -> rt.Measurement:
+def measured(room):
     t = 1.15 * rt.Eyring().reverberation_time(room)
     return rt.Measurement.from_values(room.centre_frequencies, t20=t)
 

@@ -1,8 +1,6 @@
 """Values that are legal but wrong by a unit: refused with what they look like, or marked where odd."""
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,11 +24,11 @@ def test_bands_between_the_nominal_ones_stay_as_they_are():
         np.testing.assert_allclose(kept, f, rtol=0.015)
 
 
-def measured(**values: Any) -> rt.Measurement:
+def measured(**values):
     return rt.Measurement.from_values([500, 1000], **values)
 
 
-REFUSED: list[tuple[Callable[[], Any], str]] = [
+REFUSED = [
     (lambda: room(centre_frequencies=[0.5, 1]), "0.5, 1 is probably in kHz"),
     (lambda: room(centre_frequencies=[120, 250]), r"120 Hz, which is not .* nearest is 125 Hz"),
     (lambda: rt.Air(20, 0.417), r"humidity = 0.417 % looks like a fraction; write humidity = 41.7"),
@@ -61,11 +59,11 @@ def test_a_wrong_unit_is_refused_with_what_it_looks_like(call, message):
         call()
 
 
-def unwrapped(result: Any) -> str:
+def unwrapped(result):
     return " ".join(str(result).split())
 
 
-def kinds(stated: rt.Room) -> dict[str, str]:
+def kinds(stated):
     result = rt.calibrate(stated, rt.Eyring().reverberation_time(stated) * 0.9)
     return {m.kind: m.text for m in result.trust_marks}
 

@@ -17,7 +17,7 @@ AREAS = {"floor": 20.0, "ceiling": 20.0, "walls": 54.0}
 EVERY = [(name, face) for name, faces in FACES.items() for face in faces]
 
 
-def dxf(unit: int | None, length: float) -> str:
+def dxf(unit, length):
     head = "" if unit is None else f"0\nSECTION\n2\nHEADER\n9\n$INSUNITS\n70\n{unit}\n0\nENDSEC\n"
     rows = []
     for name, face in EVERY:
@@ -27,7 +27,7 @@ def dxf(unit: int | None, length: float) -> str:
     return f"{head}0\nSECTION\n2\nENTITIES\n{''.join(rows)}0\nENDSEC\n0\nEOF\n"
 
 
-def require_box(done: mesh.Mended, areas: dict[str, float] = AREAS) -> None:
+def require_box(done, areas=AREAS):
     assert done.size == pytest.approx(SIZE, rel=1e-6)
     assert done.volume == pytest.approx(60, rel=1e-6)
     assert done.areas == pytest.approx(areas, rel=1e-6)

@@ -10,13 +10,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.claim import Detection
-from rtcal.finder.effects import Absorber, Parameters, library
+from rtcal.finder.effects import Absorber, library
 from rtcal.finder.positions.search import THRESHOLD, find_by_positions, of_means
 from rtcal.finder.positions.surfaces import merged, of_geometry, patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.types import Array
 from tests.conftest import in_geometry, measurement_of, room_of
 from tests.test_where_corrected import L_PLAN, prism, triangulated
 
@@ -29,22 +28,20 @@ MATCH = ("t20", "edt", "c80", "ts", "level")
 HIDDEN = 6.0  # m², an opening in the middle of the east wall of 15 m²
 
 
-def stated() -> rt.Room:
+def stated():
     box = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
     alpha = np.array([[ALPHA[w]] * len(BANDS) for w in SHOEBOX_WALLS])
     return in_geometry(box, BANDS, alpha, surfaces=box.surfaces, dimensions=SIZE)
 
 
-def tracing(room: rt.Room, geometry: Polyhedron | None = None, **options: object) -> PathTracing:
+def tracing(room, geometry=None, **options):
     settings = {"n_paths": 1600, "scattering": 0.4} | options
     box = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
     settings = {"geometry": geometry or box, "sources": SOURCES, "receivers": RECEIVERS} | settings
     return PathTracing(room=room, **settings)
 
 
-def heard(
-    tracer: PathTracing, alpha: np.ndarray, level: str = "g", match: Sequence[str] = MATCH
-) -> rt.Measurement:
+def heard(tracer, alpha, level="g", match=MATCH):
     """Return what a tracing measures, with stated noise: 1 %, and 0.1 dB."""
     seen = tracer.observe(alpha, match, seed=7)
     rng = np.random.default_rng(3)
@@ -58,9 +55,7 @@ def heard(
 
 
 @functools.cache
-def measured(
-    hidden: bool, level: str = "g", match: tuple[str, ...] = MATCH, scattering: float = 0.5
-) -> rt.Measurement:
+def measured(hidden, level="g", match=MATCH, scattering=0.5):
     """Return a measurement in the box, with other scattering; with or without the opening."""
     room = stated()
     tracer = tracing(room)
@@ -242,7 +237,7 @@ class Hatch(Absorber):
     family: ClassVar[str] = "added absorption, hatches"
     stands_on: ClassVar[Sequence[str]] = ("wall",)
 
-    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+    def spectrum(self, frequencies, parameters):
         return np.full(len(frequencies), 0.98)
 
 

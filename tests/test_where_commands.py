@@ -2,14 +2,11 @@
 
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.finding import Finding
-from rtcal.finder.verification import Verification
 from tests.conftest import run
 from tests.test_where import RECEIVERS, SOURCES, measured, stated
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -21,7 +18,7 @@ FILES = ("room.toml", "pairs.csv")
 FOUND = "found.json"
 
 
-def some() -> Finding:
+def some():
     shares = {"floor": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("floor", "wall 0"), ("wall 1", "wall 2")))
 
@@ -31,7 +28,7 @@ def found(monkeypatch, tmp_path):
     """The slow part, which is not what these tests are about."""
     finding = some()
 
-    def verified(*_: Any, **__: Any) -> Verification:
+    def verified(*_, **__):
         return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
 
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: finding)
@@ -57,9 +54,9 @@ def test_the_next_position_is_proposed(found, rtcal):
 
 def test_the_same_search_is_made_once(found, monkeypatch):
     """With other options, or other files, it is another one."""
-    searches: list[Finding] = []
+    searches = []
 
-    def search(*_: Any, **__: Any) -> Finding:
+    def search(*_, **__):
         searches.append(found)
         return found
 

@@ -28,7 +28,7 @@ U_PLAN = [(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (5.0, 5.0), (5.0, 1.0), (1.0, 1.0)
 U_PLAN += [(0.0, 5.0)]
 
 
-def prism(plan: list[tuple[float, float]], height: float = 3.0) -> Polyhedron:
+def prism(plan, height=3.0):
     """Return the room on a plan: a floor, a ceiling and walls, each of its own material."""
     faces = [
         (name, name, [(x, y, z) for x, y in plan])
@@ -40,7 +40,7 @@ def prism(plan: list[tuple[float, float]], height: float = 3.0) -> Polyhedron:
     return Polyhedron.from_polygons(faces)
 
 
-def triangulated(geometry: Polyhedron) -> Polyhedron:
+def triangulated(geometry):
     """Return the geometry with every face divided into triangles, as a mesh file has it."""
     polygons = []
     for i, name in enumerate(geometry.names):
@@ -70,7 +70,7 @@ def test_a_patch_has_its_area_on_any_surface(geometry, surface, share):
 def test_the_patch_stands_where_it_is_wanted():
     box = Polyhedron.shoebox(SIZE, "plaster")
 
-    def middle(at: object) -> np.ndarray:
+    def middle(at):
         made = patched(box, [1], 4.0, "hole", "hole", None if at is None else np.array(at))
         hole = [i for i, m in enumerate(made.materials) if m == "hole"]
         return made.vertices[[v for i in hole for v in made.faces[i]]].mean(axis=0)
@@ -87,7 +87,7 @@ def test_the_patch_stands_where_it_is_wanted():
         patched(box, [1], 4.0, "hole", "hole", np.array([6.0, 2.0, 1.4]))
 
 
-def case_in(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> PositionsCase:
+def case_in(geometry, alpha=0.12, **options):
     tracer = PathTracing(
         geometry=geometry,
         room=in_geometry(geometry, BANDS, alpha, **options),
@@ -102,7 +102,7 @@ def case_in(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> Pos
     )
 
 
-def candidate(surface: str, size: float, alpha: float = 0.8) -> Candidate:
+def candidate(surface, size, alpha=0.8):
     return Candidate(
         effect="porous",
         family="added absorption",
@@ -184,7 +184,7 @@ def test_the_corrected_room_has_the_change_that_was_found(form, wall_alpha, size
         assert in_geometry - of_stated == pytest.approx(added, rel=1e-6)
 
 
-def geometry_area(geometry: Polyhedron, material: str) -> float:
+def geometry_area(geometry, material):
     return geometry.areas.get(material, 0.0)
 
 

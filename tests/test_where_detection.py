@@ -1,9 +1,7 @@
 """Whether something is other than stated: the positions decide."""
 
 import sys
-from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +12,6 @@ from benchmarks.studies.geometric_world.load import IN_SITU, load, truth
 from rtcal.finder import PositionsCase, library
 from rtcal.finder.claim import CLAIMED, LEADING, Candidate, Detection, Reason
 from rtcal.finder.evidence import NONE, UNKNOWN
-from rtcal.finder.finding import Finding
 from rtcal.finder.positions.problem import (
     NOISE,
     POSITION,
@@ -29,7 +26,6 @@ from rtcal.finder.positions.search import (
     MEANS_POWER,
     THRESHOLD,
     TOLD_TEMPER,
-    Summary,
     controls_of,
     evaluate,
     every_hypothesis,
@@ -148,12 +144,12 @@ def in_a_box(kept):
     return numbers_of(case, kept)
 
 
-def numbers_of(case: PositionsCase, kept: Path) -> Searched:
+def numbers_of(case, kept):
     numbers = PositionsProblem(case, responses_of(case, 0, kept), controls_of(case, cache=kept))
     return case, numbers, every_hypothesis(case, numbers, library())
 
 
-def told(of: Searched, seed: int, hidden: bool, larger: float = LARGER) -> tuple[Summary, float]:
+def told(of, seed, hidden, larger=LARGER):
     """Return what a search tells, and its score, where the simulator errs by more than is assumed."""
     case, numbers, every = of
     error = LARGER * numbers.simulator_error
@@ -203,7 +199,7 @@ def test_what_no_effect_explains_is_as_probable_alone_as_beside_one():
         assert told.unexplained == pytest.approx(1.0, abs=1e-6)
 
 
-def unknown(shares: dict[str, float], families: Sequence[str] = ("added absorption",)) -> Finding:
+def unknown(shares, families=("added absorption",)):
     """Return a finding that is "unknown" with 0.6, and the rest on some surfaces."""
     finding = finding_of(shares)
     alone = Candidate(effect=UNKNOWN, family=UNKNOWN, probability=0.6)
@@ -240,7 +236,7 @@ def test_what_holds_most_of_the_rest_is_said_and_applied():
 ODDS = {"porous": 1.0, NOISE: 0.5, POSITION: 0.5}
 
 
-def shift(effect: str) -> ShiftHypothesis:
+def shift(effect):
     """Return a hypothesis of two sizes whose shifts are not asked for."""
     return ShiftHypothesis(
         effect=effect,
@@ -258,7 +254,7 @@ def shift(effect: str) -> ShiftHypothesis:
     )
 
 
-def spread(effect: str) -> SpreadHypothesis:
+def spread(effect):
     one = np.ones(1)
     return SpreadHypothesis(
         effect=effect,
@@ -277,7 +273,7 @@ EVERY = PositionsHypotheses(
 )
 
 
-def score_of(**nats: float) -> tuple[float, float]:
+def score_of(**nats):
     """Return the scores where these effects explain what was measured better than nothing does."""
     evidence = np.array([nats.get(effect, 0.0) for effect in EVERY.by_row("effect")])
     return scores(weights(evidence, EVERY), EVERY)

@@ -1,7 +1,5 @@
 """The error of what `rtcal.finder.positions` compares, by reference simulations of known errors."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ OCTAVES = np.array([250.0, 500.0, 1000.0])
 PAIRS = tuple(("S", f"R{i}") for i in range(SHAPE[1]))
 
 
-def controls(errors: np.ndarray, **more: object) -> ControlRuns:
+def controls(errors, **more):
     return ControlRuns(parameters=("t20", "edt"), pairs=PAIRS, errors=errors, **more)
 
 
@@ -24,12 +22,7 @@ STILL = np.zeros((*SHAPE, 2))
 """Derivatives by the scattering of two materials that change nothing."""
 
 
-def error_of(
-    runs: ControlRuns,
-    noise: np.ndarray,
-    scattering: np.ndarray = STILL,
-    of_groups: np.ndarray | None = None,
-) -> Any:
+def error_of(runs, noise, scattering=STILL, of_groups=None):
     none = np.zeros((*noise.shape, scattering.shape[-1]))
     return simulator_error(
         runs, noise, scattering, none if of_groups is None else of_groups, TRACINGS, OCTAVES
@@ -45,7 +38,7 @@ def test_beside_a_run_two_rooms_err():
     np.testing.assert_allclose(simulator_error(*given, erring=2), 2 * simulator_error(*given))
 
 
-def with_noise(error: float, noise: float, more_paths: int = 1) -> Any:
+def with_noise(error, noise, more_paths=1):
     """Return the error of reference simulations, the difference of two tracings of ``noise`` each."""
     rng = np.random.default_rng(1)
     runs = error * rng.standard_normal((RUNS, *SHAPE))
@@ -65,7 +58,7 @@ def test_the_noise_of_one_tracing_is_left_and_has_no_pattern():
     assert np.sqrt((off**2).mean()) < 0.02 * np.diag(noise).mean()
 
 
-def of_the_mean(noise: np.ndarray) -> np.ndarray:
+def of_the_mean(noise):
     """Return the covariance of the error by noise alone, but for that of one tracing."""
     of_one = controls(noise).alike() * GROUPS / (GROUPS - TRACINGS)
     covariance = error_of(controls(np.zeros((16, *SHAPE))), noise) - of_one

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.finder.evidence import with_columns
 from rtcal.finder.positions.density_kernel import LANES, of_own_errors
@@ -25,11 +24,11 @@ from tests.conftest import room_of
 WIDTH = 0.002
 
 
-def room() -> rt.Room:
+def room():
     return room_of({"wall": (210.0, [0.1, 0.2], [0.01, 0.02])}, [500, 1000], 200.0)
 
 
-def balances(aperture: Aperture, first: np.ndarray, seconds: float) -> np.ndarray:
+def balances(aperture, first, seconds):
     """Integrate the two balances step by step; the energy of the first room, (n_bands, n_bins)."""
     second = aperture.second_rate(room())
     c = room().speed_of_sound
@@ -69,7 +68,7 @@ def test_a_size_ends_with_its_surface(area, within):
     assert found.size <= found.high <= area
 
 
-def shift(uneven: float) -> tuple[ShiftHypothesis, np.ndarray]:
+def shift(uneven):
     """Return one hypothesis of two bands, and its change in the order (band, parameter, pair)."""
     rng = np.random.default_rng(3)
     nodes = -rng.uniform(0.1, 0.3, (2, 2 * 3, 1))

@@ -2,18 +2,15 @@
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from rtcal.files.disk import write_all
 from rtcal.finder import verification
-from rtcal.finder.claim import Candidate, Detection
+from rtcal.finder.claim import Detection
 from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
@@ -29,7 +26,7 @@ pytest.importorskip("jinja2", reason="needs the extra report")
 PLACE = Place(point=(6.5, 3.0, 1.2), source="S", pairs=2.5)
 
 
-def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> Finding:
+def finding_of(shares, groups=()):
     """Return a finding in an L-shaped room; its candidates are a porous layer on each surface."""
     case = case_in(triangulated(prism(L_PLAN)))
     candidates = tuple(
@@ -66,13 +63,7 @@ def finding():
     return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
 
 
-def verification_of(
-    finding: Any,
-    gaps: dict[str, float],
-    noise: float = 0.1,
-    changes: Callable[[np.ndarray], None] = lambda _: None,
-    added: tuple[Candidate | None, ...] = (None, None),
-) -> Verification:
+def verification_of(finding, gaps, noise=0.1, changes=lambda _: None, added=(None, None)):
     """Return gaps that are as stated in the mean, with noise over seeds and pairs.
 
     Every second pair has too much, the others too little: the pairs' mean is met. ``changes`` are those
@@ -121,8 +112,8 @@ def test_a_mean_that_is_missed_is_never_supported(name):
     assert verification_of(PAIRS, means).verdict == "supported"
     row = PAIRS.parameters.index(name)
 
-    def with_band(values: ArrayLike) -> Verification:
-        def change(gaps: np.ndarray) -> None:
+    def with_band(values):
+        def change(gaps):
             gaps[:, row, :, 1] = values
 
         return verification_of(PAIRS, means, changes=change)
@@ -140,7 +131,7 @@ def test_a_mean_that_is_missed_is_never_supported(name):
 
 
 def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven():
-    def change(gaps: np.ndarray) -> None:
+    def change(gaps):
         gaps[:, :, 0] = 0.1
 
     means = {"before": 3.0, "plain": 2.0, "corrected": 2.0}

@@ -27,13 +27,11 @@ MATCH = ("t20", "edt", "c80", "ts", "level")
 PLACE = (2.5, 0.0, 1.5)  # of an opening of 6 m² on the south wall of 36 m²
 
 
-def box() -> Polyhedron:
+def box():
     return Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
 
 
-def tracing(
-    geometry: Polyhedron, alpha: float = 0.12, paths: int = 2400, scattering: float = 0.4
-) -> PathTracing:
+def tracing(geometry, alpha=0.12, paths=2400, scattering=0.4):
     """Return a tracing in which all materials but "hole" have one alpha."""
     rows = np.array([[1.0 if m == "hole" else alpha] * len(BANDS) for m in geometry.areas])
     room = in_geometry(geometry, BANDS, rows)
@@ -111,8 +109,8 @@ def test_a_mesh_of_triangles_is_divided_as_its_walls_are():
 
 
 def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case):
-    def odds(every: list) -> dict[tuple[str, int | None, str], float]:
-        total: dict[tuple[str, int | None, str], float] = {}
+    def odds(every):
+        total = {}
         for s in every:
             key = (s.effect, s.surface, s.place)
             total[key] = total.get(key, 0.0) + float(s.odds.sum())
@@ -127,7 +125,7 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case):
 
 
 def test_coefficients_that_were_measured_are_seldom_off(case):
-    def odds(sigma: float) -> float:
+    def odds(sigma):
         room = case.room.replace(sigma=sigma * case.room.alpha)
         made = materials(replace(case, simulator=replace(case.simulator, room=room)))
         return sum(float(shift.odds.sum()) for shift in made)

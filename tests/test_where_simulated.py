@@ -1,7 +1,6 @@
 """A case with another program's values in place of rtcal's own: its file, and what is compared."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ pytest.importorskip("pyroomacoustics", reason="the other program")
 MATCH = ("t20", "edt", "c80", "ts")
 
 
-def read(folder: Path, measured: str = "measured.csv") -> rt.finder.PositionsCase:
+def read(folder, measured="measured.csv"):
     room = rt.Room.from_file(str(folder / "room.toml"))
     return rt.finder.case_of(
         room,
@@ -39,7 +38,7 @@ def folder(tmp_path_factory):
     case = rt.finder.PositionsCase(simulator=tracing(room), measured=measured(False))
     made = corrected_geometry(case, replace(candidate("east", 10.0), spectrum=np.ones(len(BANDS))))
 
-    def program(geometry: object, of: rt.Room, seed: int) -> rt.Measurement:
+    def program(geometry, of, seed):
         tracer = RayTracing(
             geometry=geometry,
             room=of,
@@ -97,23 +96,23 @@ def test_a_second_run_is_compared_at_pairs(finding, folder):
         verify(found, effect="opening")
 
 
-def beside(run: rt.Measurement, of: rt.Measurement) -> rt.finder.PositionsCase:
+def beside(run, of):
     return rt.finder.PositionsCase(simulator=tracing(stated()), measured=of, simulated=run)
 
 
-def given(*parameters: str) -> rt.Measurement:
+def given(*parameters):
     pairs = [(s, r) for s in SOURCES for r in RECEIVERS]
     values = {p: np.ones((len(pairs), len(BANDS))) for p in parameters}
     return rt.Measurement(centre_frequencies=BANDS, pairs=pairs, values=values)
 
 
-def with_values(data: rt.Measurement, **values: object) -> rt.Measurement:
+def with_values(data, **values):
     """Return the measurement with other values; those of None are taken out."""
     kept = {p: v for p, v in {**data.values, **values}.items() if v is not None}
     return rt.Measurement(centre_frequencies=data.centre_frequencies, pairs=data.pairs, values=kept)
 
 
-def blank(values: np.ndarray, where: object) -> np.ndarray:
+def blank(values, where):
     out = np.array(values)
     out[where] = np.nan
     return out

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 import rtcal as rt
 from rtcal.finder.positions import search
 from rtcal.finder.positions.problem import covariance_of_lobes
 from rtcal.finder.positions.weighing import lobes
-from rtcal.simulators import PathTracing
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
 
 MICROPHONE = {"M": (3.9, 2.2, 1.3)}
@@ -22,11 +20,11 @@ INDEX = (3.0, 6.0, 8.0)
 """Of the loudspeakers, in dB."""
 
 
-def box(**options: object) -> PathTracing:
+def box(**options):
     return tracing(stated(), sources=SPEAKERS, receivers=MICROPHONE, **options)
 
 
-def aimed(index: ArrayLike) -> dict[str, rt.Directivity]:
+def aimed(index):
     """The loudspeakers' lobes, which aim at the microphone."""
     return {
         name: rt.Directivity(index=index, aim=tuple(np.subtract(MICROPHONE["M"], point)))

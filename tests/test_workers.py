@@ -8,10 +8,8 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +39,7 @@ def cluster():
         yield made
 
 
-def with_workers(cluster: Any, number: int) -> str:
+def with_workers(cluster, number):
     """Let the cluster have a number of workers, and return its address."""
     cluster.scale(number)
     end = time.monotonic() + 60
@@ -54,19 +52,19 @@ def with_workers(cluster: Any, number: int) -> str:
 # Tasks --------------------------------------------------------------------------------------------
 
 
-def square(job: int) -> int:
+def square(job):
     time.sleep(0.05 * (job % 3))  # the later ones end before the earlier ones
     return job * job
 
 
-def in_steps(job: int, finished: Callable[[int], None]) -> int:
+def in_steps(job, finished):
     for k in range(3):
         time.sleep(0.01)
         finished(k + 1)
     return job
 
 
-def counted(folder: Path, fatal: int, times: int, job: int) -> int:
+def counted(folder, fatal, times, job):
     """Note that the job was run; the fatal one ends its worker the first times that it is run."""
     runs = len([*folder.glob(f"{job}-*")])
     (folder / f"{job}-{runs}").touch()
@@ -76,13 +74,13 @@ def counted(folder: Path, fatal: int, times: int, job: int) -> int:
     return job
 
 
-def refused(job: int) -> int:
+def refused(job):
     raise rt.errors.of_bands(TooShortError("too short"), [2])
 
 
 @pytest.mark.parametrize("where", [1, 3, "cluster"])
 def test_results_steps_and_errors_come_in_the_order_of_the_jobs(where, request):
-    told: list[tuple[int, int]] = []
+    told = []
     if where == "cluster":
         made = workforce(with_workers(request.getfixturevalue("cluster"), 2))
     else:
@@ -162,9 +160,9 @@ def test_reference_rooms_are_the_same_from_the_cluster(cluster, monkeypatch):
     assert all(np.array_equal(a.errors, b.errors) for a, b in zip(here, there, strict=True))
 
 
-def runs_of(**options: Any) -> tuple[np.ndarray, list[tuple[int, int]]]:
+def runs_of(**options):
     """Return the errors in reference simulations, and what is told of their progress."""
-    told: list[tuple[int, int]] = []
+    told = []
     room = stated()
     made = simulated_controls(
         tracing(room, n_paths=400),
@@ -182,10 +180,10 @@ def test_reference_simulations_are_the_same_however_many_are_begun_at_once(monke
     monkeypatch.setattr(measured_pairs, "ahead_factor", rising)
     one, told = runs_of()
     assert told == [(n, 16) for n in range(1, 17)]
-    traced: list[int] = []
+    traced = []
     of_run = measured_pairs._of_run
 
-    def noted(*arguments: Any) -> Any:
+    def noted(*arguments):
         traced.append(arguments[-1].run)
         return of_run(*arguments)
 
@@ -206,14 +204,14 @@ def test_a_tracing_is_sent_without_its_paths():
     assert np.array_equal(pickle.loads(content).observe(room.alpha, seed=3).values, before)
 
 
-def room_with_pairs(folder: Path) -> None:
+def room_with_pairs(folder):
     box = tracing(stated())
     scene = rt.Scene(sources=dict(box.sources), receivers=dict(box.receivers))
     stated().replace(scene=scene, scattering=np.full((6, 3), 0.4)).save(folder / "room.toml")
     measured(True).save(folder / "pairs.csv")
 
 
-def archive(folder: Path) -> None:
+def archive(folder):
     room, _ = rt.datasets.bras_cr2()
     times, rng = rt.Eyring().reverberation_time(room), np.random.default_rng(1)
     for n in range(5):
@@ -222,12 +220,12 @@ def archive(folder: Path) -> None:
         rt.calibrate(room.replace(name=f"room {n}"), drawn).save(folder / f"{n}" / "result.json")
 
 
-def case(folder: Path) -> None:
+def case(folder):
     rt.datasets.hidden_room("identified")[0].save(folder / "case.json")
 
 
 POSITIONS = ("room.toml", "pairs.csv", "--paths", "400")
-COMMANDS: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
+COMMANDS = {
     "study": (lambda _: None, ("study", "--realisations", "400", "--trials", "200")),
     "learn": (archive, ("learn", ".")),
     "find": (case, ("find", "case.json")),

@@ -1,7 +1,6 @@
 """The worlds of `benchmarks/studies`: beside theory, their stored rooms, and rtcal told the truth."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -42,7 +41,7 @@ def test_a_case_of_the_first_world_holds_nothing_of_the_truth():
 # Bounds: four times the noise of the mean over pairs.
 
 
-def told(load: Any, case: Any, truth: dict[str, Any], n_paths: int) -> PathTracing:
+def told(load, case, truth, n_paths):
     return PathTracing(
         geometry=case.geometry,
         room=case.room,
@@ -57,7 +56,7 @@ def told(load: Any, case: Any, truth: dict[str, Any], n_paths: int) -> PathTraci
 BOUNDS = {"t20": 0.03, "edt": 0.03, "ts": 0.03, "c80": 0.25, "level": 0.15}
 
 
-def compare(simulated: Any, exact: rt.Measurement) -> None:
+def compare(simulated, exact):
     for name, bound in BOUNDS.items():
         true = exact.values["g" if name == "level" else name]
         difference = simulated.natural(name) - true

@@ -31,7 +31,7 @@ def html(result):
         return pages.page(result)
 
 
-def data_of(html: str) -> dict:
+def data_of(html):
     (text,) = re.findall(r'<script type="application/json" id="room-data">(.*?)</script>', html)
     return json.loads(text)
 

@@ -1,7 +1,6 @@
 """The room of a page in a browser: it draws, turns, is picked, is printed, and reads without WebGL."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -25,7 +24,7 @@ def html(tmp_path_factory):
     return folder / "page.html"
 
 
-def dom(html: Path, at: str = "", *options: str) -> str:
+def dom(html, at="", *options):
     seen = chromium(html.parent, html.as_uri() + at, *(options or WEBGL), "--dump-dom")
     complaints = [line for line in seen.stderr.splitlines() if "CONSOLE" in line]
     assert [c for c in complaints if "GL Driver Message" not in c] == []  # slow in software

@@ -9,7 +9,7 @@ from rtcal.report import pages
 openpyxl = pytest.importorskip("openpyxl", reason="needs the extra tables")
 
 
-def rows_of(book: object, name: str) -> dict[str, list[object]]:
+def rows_of(book, name):
     sheet = book[name]
     return {row[0].value: [cell.value for cell in row[1:]] for row in sheet.iter_rows()}
 

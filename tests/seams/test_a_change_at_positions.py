@@ -24,7 +24,7 @@ PANEL = rt.Material("panel", [0.6, 0.7], [0.08, 0.08])
 WALLS = dict.fromkeys(("west", "east", "south", "north", "floor"), "plaster") | {"ceiling": "tiles"}
 
 
-def a_room() -> rt.Room:
+def a_room():
     geometry = Polyhedron.shoebox(SIZE, WALLS)
     alpha = np.array([[0.12, 0.14], [0.25, 0.3]])
     scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
@@ -33,7 +33,7 @@ def a_room() -> rt.Room:
     return in_geometry(geometry, BANDS, alpha, **of_box, **stated)
 
 
-def tracing(room: rt.Room, **options) -> PathTracing:
+def tracing(room, **options):
     return PathTracing(
         geometry=Polyhedron.shoebox(SIZE, WALLS),
         room=room,
@@ -112,7 +112,7 @@ def small():
 
 
 def test_what_can_be_checked_is_refused_before_anything_is_simulated(small):
-    def told(done: int, total: int) -> None:
+    def told(done, total):
         raise AssertionError("a reference simulation was simulated")
 
     for change, said in (

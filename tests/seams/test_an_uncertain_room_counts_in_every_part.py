@@ -10,7 +10,6 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.room_errors import value_changes
 from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.weighing import AIR
-from rtcal.loop.positions import PositionsResult
 from rtcal.prediction import Assumptions, predict
 from tests.conftest import measurement_of, room_of
 
@@ -24,7 +23,7 @@ STATED = {
 }
 
 
-def box(**stated: object) -> rt.Room:
+def box(**stated):
     materials = {
         "floor": (35.0, [0.2, 0.3], [0.04, 0.06]),
         "ceiling": (35.0, [0.5, 0.6], [0.1, 0.12]),
@@ -33,11 +32,11 @@ def box(**stated: object) -> rt.Room:
     return room_of(materials, [1000, 4000], 105, air=Air(20.0, 50.0), **stated)
 
 
-def logarithm(room: rt.Room) -> np.ndarray:
+def logarithm(room):
     return np.log(SABINE.reverberation_time(room))
 
 
-def derivatives(room: rt.Room) -> np.ndarray:
+def derivatives(room):
     """Return those of log T by every coefficient, (n_bands, n_materials * n_bands)."""
     step, columns = 1e-6, []
     for place in np.ndindex(room.alpha.shape):
@@ -53,7 +52,7 @@ def test_changes_are_those_of_the_equation(of_level):
     got = value_changes(room, derivatives(room), np.full(2, of_level))
     step = 1e-4
 
-    def moved(**changes: object) -> np.ndarray:
+    def moved(**changes):
         return (logarithm(room.replace(**changes)) - logarithm(room)) / step
 
     expected = [
@@ -70,10 +69,10 @@ def test_changes_are_those_of_the_equation(of_level):
     np.testing.assert_allclose(got, expected, rtol=0.02, atol=1e-6)
 
 
-def calibrated(room: rt.Room, factor: float) -> PositionsResult:
+def calibrated(room, factor):
     """Calibrated to T that is ``factor`` times the room's at two pairs, heard by an equation."""
 
-    def program(alpha: np.ndarray, seed: int) -> rt.Measurement:
+    def program(alpha, seed):
         t = SABINE.time(room, room.areas @ alpha)
         return measurement_of(room.centre_frequencies, PAIRS, t20=[t, t])
 
@@ -140,7 +139,7 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators():
 def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(stated):
     slopes = np.random.default_rng(0).uniform(-2, -1, (2, 5, 3))
 
-    def variance(room: rt.Room) -> np.ndarray:
+    def variance(room):
         case = SimpleNamespace(room=room)
         factor, _ = _prior(case, slopes, np.zeros((2, 5, len(AIR))))
         return (factor**2).sum(axis=1)
@@ -158,7 +157,7 @@ def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(stated):
 SURE = Assumptions(volume=0, areas=0, common=0, factor=0, least=0, evenness=0, evenness_sigma=0)
 
 
-def variance_before(room: rt.Room) -> np.ndarray:
+def variance_before(room):
     """Variance of ln T of a room in which nothing was measured."""
     made = predict(room, [], equation=SABINE, assumptions=SURE)
     return np.asarray((made.uncertainty_before / made.time_before) ** 2)

@@ -7,16 +7,13 @@ added, the room absorbs more, in no band less.
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import Case
 from rtcal.finder.apply import corrected_case
-from rtcal.finder.effects import AppliedEffect, Effect, checked_grid, library
-from rtcal.finder.finding import Finding
+from rtcal.finder.effects import AppliedEffect, checked_grid, library
 from rtcal.finder.means.problem import state
 from rtcal.report import of_finding
 from rtcal.support.errors import DataError
@@ -33,7 +30,7 @@ def case():
     return rt.datasets.hidden_room()[0]
 
 
-def at(case: Case, effect: Effect, place: float) -> AppliedEffect:
+def at(case, effect, place):
     """Return an effect at this place of its grid, with an interval where it has a size."""
     grid = checked_grid(effect, state(case, case.configurations[0]), case.room)
     p = AppliedEffect(effect, grid[round(place * (len(grid) - 1))])
@@ -70,7 +67,7 @@ def test_stated_areas_and_volume_stay(case, effect, equation):
 
 
 def test_a_volume_is_changed_only_where_its_error_is_claimed(case):
-    hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
+    hidden = AppliedEffect("volume", {"ratio": 1.3})
     found = rt.find(case, only=["volume", "opening"], controls=controls_of(case))
     fit = {"effect": "volume", "parameters": hidden.parameters, "size": math.nan}
     candidate = replace(found.candidates[0], probability=0.6, **fit)
@@ -90,7 +87,7 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case):
     assert claimed.apply().room.volume == pytest.approx(1.3 * case.room.volume)
 
 
-def torn_at_positions(first: float, verdict: str = "ambiguous") -> Finding:
+def torn_at_positions(first, verdict="ambiguous"):
     """Return a finding whose best candidate has a probability, two of one family on another wall."""
     found = finding_of({"wall 5": 1.0, "wall 0": 1.0, "ceiling": 1.0})
     wall, other, ceiling = found.candidates

@@ -1,12 +1,10 @@
 """A law: room and file may differ in bands. What both have is compared; the rest is said once."""
 
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 import rtcal as rt
 from rtcal.datasets import examples
@@ -15,7 +13,7 @@ from rtcal.support.errors import OtherBandsWarning
 from tests.conftest import program_of
 
 THIRDS = (200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500)
-IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
+IN_BANDS = {
     "alike": lambda m: m,
     "one more": lambda m: with_values(m, [*m.centre_frequencies, 4000], np.r_[0:4, 3]),
     "one fewer": lambda m: with_values(m, m.centre_frequencies[1:], np.r_[1:4]),
@@ -31,7 +29,7 @@ NOTES = {
 }
 
 
-def with_values(measured: rt.Measurement, bands: ArrayLike, columns: np.ndarray) -> rt.Measurement:
+def with_values(measured, bands, columns):
     values = {p: v[:, columns] for p, v in measured.values.items()}
     return replace(measured, centre_frequencies=np.asarray(bands, dtype=float), values=values)
 
@@ -43,7 +41,7 @@ def searched(kept):
     measured = rt.Measurement.from_file(str(examples.path("where_room/pairs.csv")))
     curtain = [e for e in library() if e.name == "curtain"]
 
-    def of(bands: str) -> rt.finder.Finding:
+    def of(bands):
         case = rt.finder.case_of(room, IN_BANDS[bands](measured), tracing={"n_paths": 600})
         with warnings.catch_warnings():
             warnings.simplefilter("error", OtherBandsWarning)  # the notes say it

@@ -6,9 +6,8 @@ file. What one of them cannot hold it says: in its notes, or by a typed error.
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -39,17 +38,17 @@ class Own(Effect):
     unit = ""
 
     @property
-    def name(self) -> str:
+    def name(self):
         return self.called
 
-    def grid(self, state: RoomState) -> list[dict[str, float]]:
+    def grid(self, state):
         return [{"much": x} for x in (0.2, 0.5, 0.9)]
 
-    def change(self, state: RoomState, parameters: Mapping[str, float]) -> RoomState:
+    def change(self, state, parameters):
         return self.by(state, parameters["much"])
 
 
-def repainted(s: RoomState, much: float) -> RoomState:
+def repainted(s, much):
     """Change some bands of one material, and raise another."""
     alpha = np.array(s.alpha)
     alpha[0, ::2] *= 1 - much
@@ -57,7 +56,7 @@ def repainted(s: RoomState, much: float) -> RoomState:
     return replace(s, alpha=alpha)
 
 
-def hung_and_bent(s: RoomState, much: float) -> RoomState:
+def hung_and_bent(s, much):
     """Absorb, and listen at the end of a decay with a noise floor."""
     return replace(s.covered(20 * much, np.full_like(s.air, 0.8)), floor_db=-40.0)
 
@@ -81,17 +80,17 @@ def case():
     return rt.datasets.hidden_room()[0]
 
 
-def of(effect: Effect, case: Case, place: float) -> AppliedEffect:
+def of(effect, case, place):
     """Return the effect with the parameters at this place of its grid, from 0 to 1."""
     grid = checked_grid(effect, state(case, case.configurations[0]), case.room)
     return AppliedEffect(effect, grid[round(place * (len(grid) - 1))])
 
 
-def same(got: Any, wanted: Any, what: str) -> None:
+def same(got, wanted, what):
     np.testing.assert_allclose(got, wanted, rtol=ROUNDING, atol=1e-12, err_msg=what)
 
 
-def agree(case: Case) -> None:
+def agree(case):
     """Compare everything that is made of a case with its state."""
     (first,) = (replace(c, changes={}, air=None) for c in case.configurations[:1])
     whole, at = state(case, first), distances(case, first)

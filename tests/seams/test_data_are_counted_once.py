@@ -34,7 +34,7 @@ def test_every_position(room_and_times, change):
     room, times = room_and_times
     pairs = [("S1", "R1"), ("S1", "R2")]
 
-    def names(of: rt.Room, change: float) -> tuple[str, ...]:
+    def names(of, change):
         values = {"edt": np.stack([times, 1.1 * times]) + change}
         measured = measurement_of(room.centre_frequencies, pairs, **values)
         return fingerprints(of, Observations.of_measurement(measured, ("edt",), pairs), measured)
@@ -72,7 +72,7 @@ PLACES = [("S 1", f"R,{i}") for i in range(4)]
 """Names with characters that a record sets apart."""
 
 
-def at_places(room: rt.Room, times: np.ndarray, kept: list[int], **scale: float) -> rt.Measurement:
+def at_places(room, times, kept, **scale):
     spread = times * (1 + 0.03 * np.arange(len(PLACES)))[:, np.newaxis]
     return measurement_of(
         room.centre_frequencies,
@@ -85,7 +85,7 @@ def at_places(room: rt.Room, times: np.ndarray, kept: list[int], **scale: float)
 def test_a_pair_is_left_out(room_and_times, entry, tmp_path):
     room, times = room_and_times
 
-    def data_of(of: rt.Room, kept: list[int], **scale: float) -> str:
+    def data_of(of, kept, **scale):
         measured = at_places(of, times, kept, **scale)
         if entry == "mean":
             return rt.calibrate(of, measured).room.calibration.measured
@@ -125,7 +125,7 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
 def test_a_fit_refuses_them_before_it_simulates(match, monkeypatch):
     """It refused after more than 10 s of paths."""
 
-    def begun(*_: object) -> None:
+    def begun(*_):
         raise AssertionError("the paths have begun")
 
     monkeypatch.setattr(positions, "trace_ahead", begun)

@@ -7,25 +7,22 @@ materials, the folder of a result, the folder of a finding with its mesh.
 import dataclasses
 import functools
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.apply import Corrected, corrected_geometry
+from rtcal.finder.apply import corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
-from rtcal.loop.positions import PositionsResult
 from rtcal.report import of_positions
 from rtcal.simulators import of_equation
 from tests.conftest import also
 from tests.test_where_corrected import candidate
 
 
-def same(one: Any, other: Any) -> bool:
+def same(one, other):
     """Return whether two objects hold the same, arrays bit by bit."""
     if type(one) is not type(other):
         return False
@@ -60,22 +57,22 @@ sigma = {[0.05] * 8}
 """
 
 
-def stated(**others: Any) -> rt.Room:
+def stated(**others):
     return rt.Room.from_text(STATED, "everything.toml").replace(**others)
 
 
-def peopled() -> rt.Room:
+def peopled():
     """Return a room with persons, which are pieces and no surface."""
     return rt.Room.from_text(STATED + PERSONS, "everything.toml")
 
 
-def calibrated() -> rt.Room:
+def calibrated():
     room = stated()
     times = rt.Eyring().reverberation_time(room) * 0.95
     return rt.calibrate(room, rt.Measurement.from_values(OCTAVES, t20=times)).room
 
 
-def looped() -> rt.Room:
+def looped():
     room = stated(alpha=np.full((2, 8), 0.2))
     simulator = of_equation(rt.Sabine(), room)
     measured = rt.Measurement.from_values(
@@ -85,7 +82,7 @@ def looped() -> rt.Room:
 
 
 @functools.cache
-def fitted() -> PositionsResult:
+def fitted():
     """Return a fit of scattering that the prior does not state."""
     room = stated(scattering=None, scattering_model="random", alpha=np.full((2, 8), 0.2))
     tracer = geometry_files.path_tracing(room, scattering=0.1, n_paths=400)
@@ -99,7 +96,7 @@ def fitted() -> PositionsResult:
 
 
 @functools.cache
-def patched() -> Corrected:
+def patched():
     ones = {"t20": np.ones((2, 8))}
     pairs = [("S1", "R1"), ("S1", "R2")]
     measured = rt.Measurement(centre_frequencies=OCTAVES, pairs=pairs, values=ones)
@@ -107,7 +104,7 @@ def patched() -> Corrected:
     return corrected_geometry(case, replace(candidate("floor", 4.0), spectrum=np.full(8, 0.8)))
 
 
-ROOMS: dict[str, Callable[[], rt.Room]] = {
+ROOMS = {
     "stated": stated,
     "pieces": peopled,
     "calibrated": calibrated,
@@ -149,7 +146,7 @@ def test_the_rooms_state_everything():
     assert peopled().pieces
 
 
-def differing(one: rt.Room, other: rt.Room) -> set[str]:
+def differing(one, other):
     names = [f.name for f in dataclasses.fields(rt.Room)]
     return {n for n in names if not same(getattr(one, n), getattr(other, n))}
 
@@ -257,7 +254,7 @@ def test_a_measurement_is_read_back(ending, tmp_path):
             np.testing.assert_allclose(one[name], other[name], rtol=1e-15)
 
 
-def apart(names: list[str], **rows: Any) -> rt.Room:
+def apart(names, **rows):
     """Return a room of the named materials, all alike but for the rows that are given."""
     shape = (len(names), 6)
     return rt.Room(

@@ -1,7 +1,6 @@
 """Laws of two states: exchanged, the same twice, twice as much, the climate alone, idle options."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -10,7 +9,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import StatesCase
-from rtcal.finder.finding import Finding
 from rtcal.report.pages import page as page_of_result
 from tests.conftest import also, measurement_of
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
@@ -18,7 +16,7 @@ from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
 
 
-def drawn(seed: int) -> Two:
+def drawn(seed):
     """Return a room of its own size and coefficients, measured before and after a random change.
 
     Some materials absorb more and others less, the climate is another, and each pair has its noise.
@@ -30,7 +28,7 @@ def drawn(seed: int) -> Two:
     airs = [rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal()) for _ in "ab"]
     pairs = int(rng.integers(2, 9))
 
-    def t(alpha: np.ndarray, air: rt.Air) -> np.ndarray:
+    def t(alpha, air):
         absorbed = areas @ -np.log(1 - alpha) + 4 * air.attenuation(BANDS) * volume
         return np.asarray(24 * np.log(10) / 343.2 * volume / absorbed)
 
@@ -51,13 +49,13 @@ def drawn(seed: int) -> Two:
     return stated, states[0], states[1]
 
 
-def exchanged(table: Mapping[str, float]) -> dict[str, float]:
+def exchanged(table):
     """Return a table with "added" in the place of "removed", and the other way round."""
     other = {"added": "removed", "removed": "added"}
     return {" ".join(other.get(word, word) for word in k.split(" ")): v for k, v in table.items()}
 
 
-def assert_mirrored(there: Finding, back: Finding) -> None:
+def assert_mirrored(there, back):
     """Assert that two findings are of the same states in the two orders."""
     assert back.verdict == there.verdict
     assert back.score == pytest.approx(there.score, rel=1e-9)
@@ -76,18 +74,18 @@ def assert_mirrored(there: Finding, back: Finding) -> None:
     assert back.climate == pytest.approx(there.climate, abs=1e-12)
 
 
-def both_ways(two: Two) -> tuple[Finding, Finding]:
+def both_ways(two):
     stated, before, after = two
     return rt.find(stated, after, before=before), rt.find(stated, before, before=after)
 
 
-def the_same_twice() -> Two:
+def the_same_twice():
     """Return a state given twice: its answer is its own mirror image."""
     state = measured(times(), 1)
     return room(), state, state
 
 
-def panels() -> Two:
+def panels():
     return room(), measured(times(), 1), measured(times(12), 2, uneven=0.03)
 
 

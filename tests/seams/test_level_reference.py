@@ -2,24 +2,22 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import Case, library
+from rtcal.finder import library
 from rtcal.finder.means.problem import observe, predict_hypotheses
 from rtcal.finder.means.search import _off_levels
 from rtcal.loop import measured_pairs
-from rtcal.simulators import PathTracing
 from tests.test_where import MATCH, measured, stated, tracing
 
 OFFSET = 100.0
 """dB. With 30 dB an empty room was a coupled room with 452 nats, with 40 dB a LinAlgError."""
 
 
-def referred(measurement: rt.Measurement) -> rt.Measurement:
+def referred(measurement):
     """Return the measurement with another reference for each source and band."""
     rng = np.random.default_rng(6)
     each = {
@@ -31,7 +29,7 @@ def referred(measurement: rt.Measurement) -> rt.Measurement:
     return replace(measurement, values={**measurement.values, "level": level})
 
 
-def relative(hidden: bool) -> rt.Measurement:
+def relative(hidden):
     """Return levels, of which one is missing."""
     made = measured(hidden, "level")
     level = made.values["level"].copy()
@@ -39,7 +37,7 @@ def relative(hidden: bool) -> rt.Measurement:
     return replace(made, values={**made.values, "level": level})
 
 
-def simulator() -> PathTracing:
+def simulator():
     return tracing(stated(), n_paths=800)
 
 
@@ -91,13 +89,13 @@ def test_no_reference_changes_a_calibration_to_every_position(kept, monkeypatch)
 # A level that is off alike in all bands is told first; one that is tilted is not
 
 
-def problem(case: Case) -> Any:
+def problem(case):
     """Return what the notes ask of a problem of means."""
     observed, predicted = observe(case)[0], predict_hypotheses(case, library())
     return SimpleNamespace(case=case, observed=observed, predicted=predicted)
 
 
-def notes(off: float, slope: float = 0.0) -> list[str]:
+def notes(off, slope=0.0):
     """Return the notes of the shipped room with G off and tilted over the bands."""
     case, _ = rt.datasets.hidden_room()
     configurations = []

@@ -20,7 +20,7 @@ NEW = ("d50", "sti")
 """Observables that were added as one file each."""
 
 
-def exponential(rate: float, width: float = WIDTH) -> np.ndarray:
+def exponential(rate, width=WIDTH):
     """A decay of energy at ``rate`` in 1/s, long enough for each observable."""
     return np.exp(-rate * np.arange(int(20 / rate / width)) * width)
 

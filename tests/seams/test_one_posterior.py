@@ -14,17 +14,17 @@ EYRING = rt.Eyring()
 METHODS = ("mle", "soft")
 
 
-def room(n: int, alpha: float = 0.3, sigma: float = 0.02) -> rt.Room:
+def room(n, alpha=0.3, sigma=0.02):
     areas = enumerate(np.linspace(20, 60, n))
     materials = {f"m{i}": (area, alpha, sigma) for i, area in areas}
     return room_of(materials, [500, 1000], 200, air=rt.Air(20, 50))
 
 
-def measured(t: np.ndarray, relative: float) -> rt.Measurement:
+def measured(t, relative):
     return measurement_of([500, 1000], u={"t20": relative * t[np.newaxis]}, t20=t[np.newaxis])
 
 
-def solved(n: int, method: str, relative: float, more: float = 1.05, **prior: float):
+def solved(n, method, relative, more=1.05, **prior):
     stated = room(n, **prior)
     t = EYRING.time(stated, more * stated.absorption_area)
     return rt.calibrate(stated, measured(t, relative), method)

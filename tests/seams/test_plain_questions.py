@@ -1,7 +1,6 @@
 """Plain questions of a user who checks answers in his head, asked of commands and of files."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from rtcal.prediction import words
 from rtcal.support.errors import DataError
 
 
-def example(name: str, folder: Path) -> Path:
+def example(name, folder):
     for file, content in examples.example(name).files.items():
         (folder / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / file).write_bytes(content if isinstance(content, bytes) else content.encode())
@@ -119,7 +118,7 @@ def test_a_table_that_is_given_twice_is_refused(tmp_path, rtcal):
 def test_a_repeated_command_writes_the_same_bytes(tmp_path, rtcal):
     folder = example("change", tmp_path)
     room, t = folder / "room.toml", folder / "t.csv"
-    commands: dict[str, tuple[object, ...]] = {
+    commands = {
         "calibrate": (room, t),
         "predict": (room, t, "--change", folder / "variants.toml"),
         "design": (room, t, "--treatments", folder / "treatments.toml"),
@@ -135,7 +134,7 @@ def test_a_repeated_command_writes_the_same_bytes(tmp_path, rtcal):
         assert first == second, name
 
 
-def variants(*own: tuple[str, list[str]]) -> str:
+def variants(*own):
     """A file of variants, each with its name and its changes."""
     return "\n".join(
         f'[[variant]]\nname = "{name}"\n'

@@ -20,18 +20,18 @@ NAMES = {
 }
 
 
-def of_names(receivers: list[str], **more: object) -> rt.Measurement:
+def of_names(receivers, **more):
     pairs = [("S1", name) for name in receivers]
     values = {"t20": SWEEPS[: len(receivers)]}
     return rt.Measurement(centre_frequencies=BANDS, values=values, pairs=pairs, **more)
 
 
-def once() -> rt.Measurement:
+def once():
     """Return one measurement with the repeats' mean."""
     return measurement_of(BANDS, [("S1", "R1")], t20=SWEEPS.mean(axis=0)[None])
 
 
-def the_same(a: rt.Measurement, b: rt.Measurement) -> None:
+def the_same(a, b):
     assert a.pairs == b.pairs
     np.testing.assert_allclose(a.mean("t20"), b.mean("t20"), rtol=1e-14)
     np.testing.assert_allclose(a.mean_uncertainty("t20"), b.mean_uncertainty("t20"), rtol=1e-14)
@@ -71,7 +71,7 @@ def test_in_a_table(named):
             rt.io.tables.parse(content)
 
 
-def box() -> tuple[rt.Room, rt.simulators.PathTracing]:
+def box():
     room = room_of(
         {"walls": (74.0, 0.2, 0.05), "floor": (20.0, 0.2, 0.05)},
         BANDS,

@@ -1,8 +1,6 @@
 """A law: what was measured and not fitted is shown before and after, and named when it leaves."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import Loop
 from rtcal.report import pages
-from tests.conftest import Commands, also, measurement_of
+from tests.conftest import also, measurement_of
 
 
 @dataclass(frozen=True)
@@ -23,14 +21,14 @@ class Bent:
     deterministic: bool = True
 
     @property
-    def materials(self) -> tuple[str, ...]:
+    def materials(self):
         return tuple(self.room.materials)
 
     @property
-    def centre_frequencies(self) -> np.ndarray:
+    def centre_frequencies(self):
         return self.room.centre_frequencies
 
-    def simulate(self, alpha: np.ndarray, *, seed: int = 0) -> rt.Measurement:
+    def simulate(self, alpha, *, seed=0):
         times = 1.3 * rt.Eyring().time(self.room, self.room.areas @ alpha)
         moved = (alpha - self.room.alpha).sum(axis=0)
         return rt.Measurement.from_values(
@@ -42,7 +40,7 @@ class Bent:
 class AtPositions(Bent):
     """The same at two receivers."""
 
-    def simulate(self, alpha: np.ndarray, *, seed: int = 0) -> rt.Measurement:
+    def simulate(self, alpha, *, seed=0):
         mean = super().simulate(alpha, seed=seed)
         return measurement_of(
             mean.centre_frequencies,
@@ -51,7 +49,7 @@ class AtPositions(Bent):
         )
 
 
-def calibrated(cost: float, more: Mapping[str, float | np.ndarray]) -> Loop:
+def calibrated(cost, more):
     room, measured = rt.datasets.bras_cr2()
     times = measured.reverberation_time
     beside = {p: np.full(room.n_bands, v) for p, v in more.items()}
@@ -71,7 +69,7 @@ def test_a_parameter_that_leaves_is_named(cost):
     assert ("C80, which was not fitted, now deviates more" in said) == bool(cost)
 
 
-def by_hand(rtcal: Commands, folder: Path, cost: float) -> tuple[Loop, str, str]:
+def by_hand(rtcal, folder, cost):
     """Return the loop of a program run by hand, what its last step printed, and its page."""
     room, measured = rt.datasets.bras_cr2()
     times, flat = measured.reverberation_time, np.full(room.n_bands, 1.5)

@@ -13,7 +13,7 @@ from tests.conftest import in_hall
 HALL = rt.datasets.halls.lecture_hall()
 
 
-def tracer(n_paths: int) -> rt.simulators.PathTracing:
+def tracer(n_paths):
     return in_hall(HALL, n_paths=n_paths, scattering=0.5)
 
 
@@ -21,7 +21,7 @@ def tracer(n_paths: int) -> rt.simulators.PathTracing:
 def measured(monkeypatch):
     """Return what was measured; reference simulations are not to begin."""
 
-    def begun(*_: object, **__: object) -> None:
+    def begun(*_, **__):
         raise AssertionError("the reference simulations have begun")
 
     heard = tracer(160).simulate(HALL.room.alpha * 1.1, seed=3)
