@@ -164,6 +164,7 @@ def room_of(
     materials: Mapping[str, tuple[float, Any, Any]],
     bands: Sequence[float],
     volume: float = 100.0,
+    /,
     **stated: Any,
 ) -> rt.Room:
     """A room of materials with area, alpha and sigma; one number stands for all bands."""

@@ -39,12 +39,6 @@ def test_the_errors_keep_the_variance_that_is_not_noise():
     assert made.without_noise(np.zeros((2, 3))).errors == pytest.approx(made.errors, abs=1e-15)
 
 
-def test_a_tenth_of_the_variance_is_left_where_all_of_it_may_be_noise():
-    made = runs(np.random.default_rng(2), noise=0.0)
-    left = made.without_noise(np.ones((2, 3))).errors
-    assert left.var() == pytest.approx(0.1 * made.errors.var(), rel=1e-9)
-
-
 def test_noise_of_the_control_runs_does_not_count_as_the_simulators_error():
     rng = np.random.default_rng(3)
     made = runs(rng, noise=0.07)
@@ -118,23 +112,6 @@ def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
     assert groups.std(axis=0).min() > 0
     with pytest.raises(DataError, match="number = 5 must divide n_batches = 16"):
         tracer.observe_in_groups(hall.room.alpha, 5)
-
-
-@pytest.mark.long
-def test_unexplained_errors_are_those_under_which_the_data_are_likeliest():
-    """Each parameter has its own; what all values have in common is no part of it."""
-    rng = np.random.default_rng(5)
-    n, of = 300, np.repeat([0, 1], 150)
-    unit = np.where(of == 0, 0.05, 1.0)
-    common = np.outer(unit, unit) * (of[:, np.newaxis] == of)
-    expected = common + np.diag((0.5 * unit) ** 2)
-    for wanted in ([0.0, 0.0], [3.0, 0.0], [2.0, 4.0]):
-        covariance = expected + np.diag((np.array(wanted)[of] * unit) ** 2)
-        drawn = rng.multivariate_normal(np.zeros(n), covariance, 9)
-        found = np.median([unexplained_errors(x, expected, unit, of) for x in drawn], axis=0)
-        assert found == pytest.approx(wanted, rel=0.15, abs=0.2)
-    far = unexplained_errors(drawn[0] + 20 * unit * (of == 0), expected, unit, of)
-    assert far[0] < 4  # 20 JND that all values have in common are no error of each
 
 
 def test_small_unexplained_errors_are_found():

@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import closed as rules
 from rtcal.loop.closed import Matched, Step
-from tests.conftest import measurement_of
+from tests.conftest import measurement_of, room_of
 
 LOW, HIGH, NAN = 0.01, 100.0, np.nan
 
@@ -163,16 +163,8 @@ def loop_of(targets, simulated, wanted=(2.0,), alpha=None, room=None, **fields):
 
 def hall(n_bands=1, **changes):
     """Volume 100 m³, two materials of 30 and 70 m², no air."""
-    values = {
-        "name": "hall",
-        "volume": 100,
-        "materials": ["a", "b"],
-        "areas": [30, 70],
-        "alpha": [[0.2] * n_bands, [0.1] * n_bands],
-        "sigma": [[0.1] * n_bands] * 2,
-        "centre_frequencies": [250, 500, 1000, 2000][:n_bands],
-    }
-    return rt.Room(**(values | changes))
+    materials = {"a": (30, 0.2, 0.1), "b": (70, 0.1, 0.1)}
+    return room_of(materials, [250, 500, 1000, 2000][:n_bands], **changes)
 
 
 K = 24 * np.log(10) * 100 / 343

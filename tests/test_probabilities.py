@@ -24,24 +24,16 @@ from rtcal.finder.means.problem import (
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
-from tests.conftest import also, measurement_of
+from tests.conftest import also, measurement_of, room_of
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
 
 
 def room(sigma=0.3, **more):
-    facts = {
-        "name": "hall",
-        "volume": 400.0,
-        "materials": ["plaster", "carpet", "glass"],
-        "areas": [200.0, 80.0, 60.0],
-        "alpha": ALPHA,
-        "sigma": sigma * ALPHA,
-        "centre_frequencies": F,
-        "air": rt.Air(20, 50),
-    }
-    return rt.Room(**(facts | more))
+    rows = zip([200.0, 80.0, 60.0], ALPHA, sigma * ALPHA, strict=True)
+    materials = dict(zip(["plaster", "carpet", "glass"], rows, strict=True))
+    return room_of(materials, F, 400, **{"name": "hall", "air": rt.Air(20, 50), **more})
 
 
 def measured(truth, *, stated=True):

@@ -7,22 +7,14 @@ import rtcal as rt
 from rtcal import studies
 from rtcal.calibration.posterior import distribution
 from rtcal.support.errors import DataError, RtcalError
+from tests.conftest import room_of
 
 AIR = rt.Air()
 
 
 def room(**changes):
-    values = {
-        "name": "x",
-        "volume": 200,
-        "materials": ["a", "b"],
-        "areas": [100, 120],
-        "alpha": [[0.1, 0.2], [0.3, 0.2]],
-        "sigma": [[0.1, 0.1], [0.1, 0.1]],
-        "centre_frequencies": [500, 1000],
-        "air": AIR,
-    }
-    return rt.Room(**{**values, **changes})
+    materials = {"a": (100, [0.1, 0.2], 0.1), "b": (120, [0.3, 0.2], 0.1)}
+    return room_of(materials, [500, 1000], 200, **{"name": "x", "air": AIR, **changes})
 
 
 @pytest.mark.parametrize("t", [0.31, 0.37, 0.40, 0.43, 0.52, 0.61])

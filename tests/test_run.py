@@ -8,24 +8,15 @@ from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.report import pages
 from rtcal.simulators.external import of_equation
 from rtcal.support.errors import DataError, OtherBandsWarning
-from tests.conftest import also
+from tests.conftest import also, room_of
 
 F = [500.0, 1000.0]
 PAIRS = [("S1", "R1"), ("S1", "R2")]
 
 
 def box(**changes):
-    stated = {
-        "name": "box",
-        "volume": 120,
-        "materials": ["wall", "floor"],
-        "areas": [120, 38],
-        "alpha": [[0.1, 0.1], [0.2, 0.3]],
-        "sigma": [[0.02, 0.02], [0.05, 0.05]],
-        "centre_frequencies": F,
-        "air": rt.Air(20.0, 50.0),
-    }
-    return rt.Room(**(stated | changes))
+    materials = {"wall": (120, 0.1, 0.02), "floor": (38, [0.2, 0.3], 0.05)}
+    return room_of(materials, F, 120, **{"name": "box", "air": rt.Air(20.0, 50.0), **changes})
 
 
 def of_pairs(pairs=PAIRS, **values):

@@ -13,7 +13,7 @@ from rtcal.finder.evidence import grid_weights
 from rtcal.finder.finding import Finding
 from rtcal.finder.means.problem import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
-from tests.conftest import also
+from tests.conftest import also, room_of
 from tests.test_discrepancy import controls_of
 
 F = [125, 250, 500, 1000, 2000, 4000]
@@ -22,20 +22,10 @@ WOOD, STAGE = [0.15, 0.12, 0.1, 0.08, 0.07, 0.07], [0.3, 0.25, 0.2, 0.15, 0.1, 0
 
 
 def hall(relative, **stated):
-    alpha = np.array([SEATS, PLASTER, WOOD, STAGE])
-    return rt.Room(
-        **{
-            "name": "hall",
-            "volume": 9600.0,
-            "materials": ["seats", "plaster", "wood", "stage"],
-            "areas": [820, 2300, 700, 240],
-            "alpha": alpha,
-            "sigma": np.maximum(relative * alpha, 0.01),
-            "centre_frequencies": F,
-            "air": rt.Air(20, 50),
-            **stated,
-        }
-    )
+    rows = zip([820, 2300, 700, 240], [SEATS, PLASTER, WOOD, STAGE], strict=True)
+    each = ((area, a, np.maximum(relative * np.array(a), 0.01)) for area, a in rows)
+    materials = dict(zip(["seats", "plaster", "wood", "stage"], each, strict=True))
+    return room_of(materials, F, **{"volume": 9600, "air": rt.Air(20, 50), **stated})
 
 
 def heard(room, ratio, seed=0):
