@@ -1,8 +1,4 @@
-"""The probability that a prediction and a design state, beside importance sampling from the prior.
-
-Nothing of the prediction's own draws is used: coefficients are drawn from what the room states, and
-weighted by how well they explain the measured T. The formulas are those of docs/prediction.md.
-"""
+"""The probability that a prediction and a design state, beside importance sampling from the prior."""
 
 import numpy as np
 import pytest
@@ -50,10 +46,7 @@ def cut_normal(rng, n, mean, sigma, low, high):
 
 
 def log_time(room, facing, absorption, u, band):
-    """ln T of draws: u of the way through Eyring's, Arau-Puchades' and Fitzroy's T, as they rise.
-
-    ``facing`` (n_materials, 3) are areas across each axis; what stands free is spread over all.
-    """
+    """ln T of draws: u of the way through Eyring's, Arau-Puchades' and Fitzroy's T, as they rise."""
     free = room.areas - facing.sum(axis=1)
     axes = facing.sum(axis=0)
     spread = facing + np.outer(free, axes / axes.sum())

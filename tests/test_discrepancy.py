@@ -505,10 +505,7 @@ FAR = [
 
 
 def case_of(effect, theta):
-    """Return a case whose measurement is the model's own with the effect in it.
-
-    Its walls along x hardly absorb, so that a lack of scattering bends the decay.
-    """
+    """Return a case whose measurement is the model's own with the effect in it."""
     room = opened().room
     room = room.replace(alpha=room.alpha * np.array([1.5, 1.5, 0.2, 1.0])[:, None])
     facing = np.array([[0, 0, 1], [0, 0, 1], [1, 0, 0], [0, 1, 0]], dtype=float)

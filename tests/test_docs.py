@@ -33,10 +33,7 @@ def shown_after(block, statement):
 
 
 def run_and_compare(block, where, names):
-    """Run a block; each top-level print has to print the comment behind it, whole.
-
-    The comment ``# ...`` says that the output is not shown.
-    """
+    """Run a block; each top-level print has to print the comment behind it, whole."""
     tree = ast.parse(block)
     for statement in tree.body:
         module = ast.Module([statement], type_ignores=[])

@@ -34,13 +34,6 @@ def test_tolerance_beyond_the_peak_ends_at_the_peak():
     np.testing.assert_allclose(result.alpha, given.alpha, rtol=0, atol=1e-12)
 
 
-def test_tolerance_does_not_pass_the_peak():
-    given = room([0.95])
-    within = rt.Calibration(terms.PriorDeviation(), [terms.MatchWithin(1.0)])
-    result = within.build(given, KUTTRUFF).solve(1.02 * at_mean(given, PEAK))
-    assert (given.areas @ result.alpha)[0] == pytest.approx(PEAK * given.total_area, rel=1e-12)
-
-
 @pytest.mark.parametrize("unreachable", ["raise", "nearest"])
 def test_prior_beyond_the_peak_has_no_time_before_and_everything_else(unreachable):
     given = room([0.93, 0.3])

@@ -114,10 +114,7 @@ def test_poles_are_those_of_the_separated_equation():
 
 @pytest.mark.parametrize("sides", [(4.0, 4.003, 3.998), (5.2, 3.9, 2.6)])
 def test_poles_are_those_of_the_linearised_problem(sides):
-    """With admittances that hold at all frequencies the companion matrix has all poles at once.
-
-    In the first box many modes lie closer together than they are wide.
-    """
+    """With admittances that hold at all frequencies the companion matrix has all poles at once."""
     modes = box_modes(np.array(sides), SHOEBOX_WALLS, 120, C)
     walls = np.array([0.03, 0.01 + 0.02j, 0.06, 0.005, 0.02 - 0.01j, 0.04])
     poles = modes.poles(lambda f: walls)

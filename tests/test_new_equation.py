@@ -86,10 +86,7 @@ def test_a_new_equation_is_kept_in_a_saved_loop(quadratic, cr2, tmp_path, monkey
 
 @pytest.mark.parametrize("equation", ["sabine", "eyring", "kuttruff", "millington"])
 def test_a_case_is_calibrated_with_its_own_equation(equation):
-    """Kuttruff's was calibrated by one step of Eyring's, which missed T by 0.4 %.
-
-    The fit ends where a step changes the objective no more, a millionth of T from the measured one.
-    """
+    """Kuttruff's was calibrated by one step of Eyring's, which missed T by 0.4 %."""
     case, _ = rt.datasets.hidden_room()
     case = replace(case, equation=equation)
     measured = case.configurations[0].measured.mean("t20")

@@ -38,10 +38,7 @@ def cells(path, kind):
 
 
 def run(path, monkeypatch, *, fast=True):
-    """Run the code cells one after the other, beside the notebook as its kernel would be.
-
-    A run that is not shortened must print what is stored.
-    """
+    """Run the code cells one after the other, beside the notebook as its kernel would be."""
     pytest.importorskip("IPython", reason="needs the extra docs")
     pytest.importorskip("matplotlib", reason="needs the extra report")
     monkeypatch.chdir(path.parent)

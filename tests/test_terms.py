@@ -65,10 +65,7 @@ def filled(m, numbers):
 
 
 def value_of(term, numbers, x):
-    """Return a term's expression at the deviations x, minimised over the variables of its own.
-
-    Where sigma = 0 the deviation is free: the coefficient is known, whatever it is.
-    """
+    """Return a term's expression at the deviations x, minimised over the variables of its own."""
     m = model_at(numbers, x)
     expression = term(m)
     filled(m, numbers)

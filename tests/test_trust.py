@@ -187,11 +187,7 @@ def test_a_room_in_which_equations_differ_is_marked():
 
 
 def test_a_shift_that_a_bound_leaves_to_another_material_contradicts_what_was_stated():
-    """T of a ceiling at 1 and of walls that absorb five standard deviations more than stated.
-
-    z says little, since the ceiling's sigma is large: but it cannot move as far. The oracle is the
-    distance in standard deviations of the only coefficients within the bounds that have this T.
-    """
+    """T of a ceiling at 1 and of walls that absorb five standard deviations more than stated."""
     room = _box(0.95)
     room = room.replace(sigma=[[0.3, 0.05], [0.01, 0.01], [0.01, 0.01]])
     true = room.alpha.copy()

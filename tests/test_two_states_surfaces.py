@@ -42,10 +42,7 @@ def moved(alpha, rows, share):
 
 
 def two_states():
-    """Return the parameters before and after, by paths of other seeds that scatter otherwise.
-
-    After, the east wall absorbs half of what it reflected. The stated coefficients are off by a fifth.
-    """
+    """Return the parameters before and after, by paths of other seeds that scatter otherwise."""
     room = stated()
     truth = tracing(room, scattering=0.5, n_paths=9600, sources=PLACES)
     rng = np.random.default_rng(3)

@@ -64,11 +64,7 @@ def finding():
 
 
 def verification_of(finding, gaps, noise=0.1, changes=lambda _: None, added=(None, None)):
-    """Return gaps that are as stated in the mean, with noise over seeds and pairs.
-
-    Every second pair has too much, the others too little: the pairs' mean is met. ``changes`` are those
-    of the last model's gaps.
-    """
+    """Return gaps that are as stated in the mean, with noise over seeds and pairs."""
     rng = np.random.default_rng(4)
     shape = (3, len(finding.parameters), len(finding.pairs), 2)
     sign = (-1.0) ** np.arange(len(finding.pairs))[:, np.newaxis]

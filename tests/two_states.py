@@ -46,10 +46,7 @@ def times(panels: float = 0.0, air: rt.Air | None = None) -> Array:
 def measured(
     t: Array, seed: int, *, pairs: int = 6, noisy: int = 0, uneven: float = 0.0
 ) -> rt.Measurement:
-    """Return T20 of so many sources, each with one decay's noise; of ``noisy`` three times as much.
-
-    ``uneven`` is the standard deviation of a pair's own share of ln T.
-    """
+    """Return T20 of so many sources, each with one decay's noise; of ``noisy`` three times as much."""
     rng = np.random.default_rng(seed)
     scale = np.where(np.arange(pairs) < noisy, 3.0, 1.0)[:, np.newaxis]
     noise = scale * rng.standard_normal((pairs, len(t))) * 0.88 / np.sqrt(BANDWIDTH * t)

@@ -1,9 +1,4 @@
-"""Law: what is added leaves the stated areas and volume alone.
-
-"Each area is 0.693 times as large, and the rest became furniture" turned 70 m² of wall into 48.5. An
-area or a volume may differ only by an effect that is about that very number; and where absorption is
-added, the room absorbs more, in no band less.
-"""
+"""Law: what is added leaves the stated areas and volume alone."""
 
 import math
 from dataclasses import replace

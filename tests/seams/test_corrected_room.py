@@ -1,9 +1,4 @@
-"""Law: what a model's state has, its corrected room, simulator and files have, or they say what not.
-
-For every effect and size, alone and in pairs: absorption area, T and level of the state with the
-effects are those of the case that is read again, of the corrected room, of its simulators and of its
-file. What one of them cannot hold it says: in its notes, or by a typed error.
-"""
+"""Law: what a model's state has, its corrected room, simulator and files have, or they say what not."""
 
 import json
 from collections.abc import Callable

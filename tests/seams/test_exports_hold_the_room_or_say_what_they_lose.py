@@ -1,8 +1,4 @@
-"""A law: what is written and read again is the same, or the export says what the file lacks.
-
-It holds for each field of a room, of every kind of result, in every format: the native file, lists of
-materials, the folder of a result, the folder of a finding with its mesh.
-"""
+"""A law: what is written and read again is the same, or the export says what the file lacks."""
 
 import dataclasses
 import functools

@@ -17,10 +17,7 @@ Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
 
 
 def drawn(seed):
-    """Return a room of its own size and coefficients, measured before and after a random change.
-
-    Some materials absorb more and others less, the climate is another, and each pair has its noise.
-    """
+    """Return a room of its own size and coefficients, measured before and after a random change."""
     rng = np.random.default_rng(seed)
     volume, areas = float(rng.uniform(60, 900)), AREAS * rng.uniform(0.7, 2.0)
     one = np.clip(ALPHA * np.exp(0.4 * rng.standard_normal(ALPHA.shape)), 0.01, 0.6)
