@@ -142,7 +142,7 @@ def test_errors_of_rows_of_either_sign_are_within_the_bound(configurations):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_errors_of_rows_that_define_variables_are_errors_of_the_gradient(seed: int) -> None:
+def test_errors_of_rows_that_define_variables_are_errors_of_the_gradient(seed):
     """The smooth method defines steps and misfits: 41 rows are joined, and no solve is needed."""
     rng = np.random.default_rng(seed)
     alpha, areas = rng.uniform(0.05, 0.9, (7, 6)), rng.uniform(1, 100, 7)
