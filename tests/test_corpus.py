@@ -22,10 +22,6 @@ READERS = {
 WRITTEN = {"bras", "catt", "odeon", "pyroomacoustics"}
 
 
-def test_there_are_three_hundred_and_their_names_differ():
-    assert len(corpus.NAMED) == len(corpus.CASES) >= 300
-
-
 @pytest.mark.parametrize("case", corpus.CASES, ids=lambda c: c.name)
 def test_each_file_gives_what_it_means(case, tmp_path):
     endings = {"library": ".xlsx" if case.sheets else ".csv", "modes": ".csv"}

@@ -5,10 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy import stats
 
 import rtcal as rt
-from benchmarks.studies.means.judged import read
 from rtcal.finder.means.recalibration import plain
 from rtcal.loop.positions import PositionsResult
 from rtcal.report.of_diagnosis import contents, steps
@@ -94,29 +92,3 @@ def test_at_positions_the_corrected_model_is_fitted(tmp_path, kept):
     assert result.calibrated.prior.materials == result.corrected.room.materials
     as_stated, _, corrected = result.verification.by_seed.mean(axis=1)
     assert corrected < 0.5 * as_stated
-
-
-# Shipped cases with something hidden in them: from another tracer, off as stated, picked by a rule
-
-ROOMS = ("identified", "not_identified")
-
-
-@pytest.mark.parametrize("name", ROOMS)
-def test_a_case_is_the_first_of_its_kind_in_a_population_that_nothing_else_uses(name):
-    _, truth = rt.datasets.hidden_room(name)
-    stored = json.loads(rt.datasets.path(f"hidden_room/{name}.json").read_text(encoding="utf-8"))
-    kind = truth["seed"][1]
-    assert truth["seed"] == [4, kind, 0]
-    seeds = [row["seed"] for row in read(1, 4, "truth")]
-    assert stored == read(1, 4, "case")[seeds.index(truth["seed"])]
-
-
-@pytest.mark.parametrize("name", ROOMS)
-def test_the_true_coefficients_are_as_far_off_as_is_stated(name):
-    case, truth = rt.datasets.hidden_room(name)
-    off = (np.array(truth["alpha"]) - case.room.alpha) / case.room.sigma
-    assert np.abs(off).max() > 1
-    lag = np.abs(np.subtract.outer(np.arange(off.shape[1]), np.arange(off.shape[1])))
-    inverse = np.linalg.inv(case.room.band_correlation**lag)
-    q = np.einsum("ik,kl,il", off, inverse, off)
-    assert 0.001 < stats.chi2(off.size).cdf(q) < 0.999

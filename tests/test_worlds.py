@@ -1,40 +1,13 @@
-"""The worlds of `benchmarks/studies`: beside theory, their stored rooms, and rtcal told the truth."""
-
-import json
+"""The worlds of `benchmarks/studies`: their stored findings, and rtcal told the truth."""
 
 import numpy as np
 import pytest
 
-import rtcal as rt
 from benchmarks.studies.means import judged
 from benchmarks.studies.position_rooms import load as position_rooms
-from benchmarks.studies.stored import read
-from rtcal.finder import Case
 from rtcal.simulators import PathTracing
 
 JUDGED = judged.rows_of()
-
-
-def test_rooms_with_nothing_hidden_decay_after_their_true_coefficients():
-    """Of the first world: 2 % above Eyring's T, since path lengths scatter (Kuttruff); noise of 2 %."""
-    off = []
-    parts = (read("hidden_world", 3, part) for part in ("case", "truth"))
-    for stated, truth in zip(*parts, strict=True):
-        if not truth["effects"]:
-            case = Case.from_dict(stated)
-            room = case.room.replace(alpha=np.array(truth["alpha"]))
-            t = case.configurations[0].measured.mean("t20")
-            off.append(np.log(t / rt.Eyring().reverberation_time(room)))
-    assert len(off) == 50
-    np.testing.assert_allclose(np.median(off, axis=0), 0.02, atol=0.01)
-    np.testing.assert_allclose(np.quantile(off, [0.05, 0.95]), [-0.01, 0.06], atol=0.01)
-
-
-def test_a_case_of_the_first_world_holds_nothing_of_the_truth():
-    words = {word for name in judged.NAMES.values() for word in name.split()}
-    words -= {"air", "area", "volume", "room"}  # a room's own words
-    for stated in read("hidden_world", 1, "case"):
-        assert not [word for word in words if word in json.dumps(stated)]
 
 
 # Two tracers that share nothing, one scene: the package's, told the truth, beside the world's.
