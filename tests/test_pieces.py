@@ -216,21 +216,6 @@ number = 20
 """
 
 
-def test_predictions_add_and_take_pieces():
-    whole = room(PERSONS)
-    variants, _ = read_variants(VARIANTS, whole)
-    result = rt.calibrate(whole, [1.0, 0.6])
-    added = (40 * np.array([0.5, 0.9]), -30 * result.alpha[2], -20 * result.alpha[2])
-    for variant, number in zip(variants, added, strict=True):
-        prediction = result.predict(list(variant.changes))
-        area = result.room.absorption_area + number
-        times = rt.Eyring().time(result.room, area)
-        assert prediction.by_equation["Eyring"] == pytest.approx(times, rel=1e-9)
-        assert prediction.after.total_area == 222
-    with pytest.raises(DataError, match=r'add = "audience" is an \[\[object\]\]: give its number'):
-        read_variants(VARIANTS.replace("number = 40", "area = 40"), whole)
-
-
 def test_what_a_file_brings_in_may_have_its_sigma_by_rule():
     whole = room(PERSONS)
     material = """

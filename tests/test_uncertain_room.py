@@ -184,19 +184,6 @@ def test_sensitivities_are_derivatives(method):
         )
 
 
-def test_a_common_factor_alone_has_an_interval():
-    """Its tables may be off together, its volume and areas are exact: what an archive gives."""
-    room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)
-    result = rt.calibrate(room, times(room, 0, 0.02), "mle", SABINE)
-    assert not result.active.any()
-    half = 1.6448536 * result.posterior_sigma
-    low, high = result.alpha - half, result.alpha + half
-    inside = (low > 0.1) & (high < 0.9)  # where the box does not cut it
-    assert inside.sum() > 8
-    np.testing.assert_allclose(result.interval[0][inside], low[inside], rtol=0, atol=2e-3)
-    np.testing.assert_allclose(result.interval[1][inside], high[inside], rtol=0, atol=2e-3)
-
-
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
