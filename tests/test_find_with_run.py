@@ -269,7 +269,7 @@ def test_three_models_are_compared_with_and_without_a_second_run(absorber):
     assert again.runs == ("as simulated",)
     assert again.verdict == "not tested"  # the opening moves C80 and G by T alone
     assert "leaves only 0.02 JND there" in sentence(seen)
-    assert "not tested at C80 and G" in sentence(again)
+    assert "not tested: at C80 and G" in sentence(again)
     np.testing.assert_allclose(again.by_seed[1], seen.by_seed[1], atol=0.1)  # but for the bias
     assert again.after == pytest.approx(0.0, abs=1e-4)
     np.testing.assert_allclose(residual_map(again), 0, atol=0.1)
