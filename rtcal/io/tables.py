@@ -574,13 +574,26 @@ def _proposed(sheet: Sheet, at: int, options: _Options, before: str) -> str:
             if any(not _is_accepted(column.parameter, number) for number in numbers):
                 columns[k] = replace(column, unit="?")
     lines = f"{body[0][0]} to {body[-1][0]}"
-    text = columns_text(lines, _meanings(columns, options))
-    stated = replace(options, columns=text.partition('"')[2][:-1])
-    reason = "" if "?" in text else _refusal(sheet, stated)
+    text, reason = _tried(sheet, lines, columns, options)
+    if _GIVEN_TWICE in reason:  # a column of texts may be where the rows were measured
+        asked = [
+            None if c and not c.kind and len({*own}) > 1 and not any(map(_is_number, own)) else c
+            for c, own in zip(columns, cells, strict=True)
+        ]
+        text, reason = _tried(sheet, lines, asked, options)
     if reason:
         return f"; and {reason}" if reason.startswith("line ") and "state " not in reason else ""
     what = f" the content of each column, with - for a column to leave out: {text}"
     return before + what + _FILL_IN * ("?" in text)
+
+
+def _tried(
+    sheet: Sheet, lines: str, columns: Sequence[Column | None], options: _Options
+) -> tuple[str, str]:
+    """Return the text that proposes columns, and why the table is not read with it; "" if it is."""
+    text = columns_text(lines, _meanings(columns, options))
+    stated = replace(options, columns=text.partition('"')[2][:-1])
+    return text, "" if "?" in text else _refusal(sheet, stated)
 
 
 def _meanings(columns: Sequence[Column | None], options: _Options) -> list[str]:
