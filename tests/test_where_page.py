@@ -144,8 +144,10 @@ def test_the_page_begins_with_the_answer_and_the_bars(finding, tmp_path):
     assert body.index("The room absorbs more") < body.index("is unproven") < body.index("<img")
     assert "Mean deviation" in body[body.index("<img") :][:40]
     assert body.count("<img") == 3
-    for alt in re.findall(r'<img alt="([^"]+)"', body):
-        assert len(alt) > 60, alt
+    bars, *_, plan = re.findall(r'<img alt="([^"]+)"', body)
+    for gap, model in zip(result.by_seed.mean(axis=1), result.models, strict=True):
+        assert f"{gap:.2f} JND {model}" in bars
+    assert "wall 5 60 % and wall 0 25 %" in plan
     assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
     record = json.loads((tmp_path / "result.json").read_text())
     assert (record["rtcal"], record["verdict"]) == (Verification.record_kind, "unproven")

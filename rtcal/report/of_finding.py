@@ -233,22 +233,17 @@ def pictures(
     if finding.kind == "states":
         caption = "Change of the absorption area with its 90 % interval, if it changed."
         return [Picture(lambda: figures.change(finding), caption, name="change")]
-    what = "data" if finding.kind == "means" else "pairs"
     drawn = list[Picture]()
     if verification is not None and np.isfinite(verification.before):
-        drawn = [
-            Picture(
-                lambda: figures.bars(verification),
-                f"Mean deviation at {what} that were not fitted, with its range over the simulator's "
-                "seeds. The dotted line is 1 JND.",
-                name="gap",
-            )
-        ]
+        drawn = [_bars(verification)]
     if finding.kind == "positions":
+        likely = finding.likely_surfaces if finding.verdict != "none" else ()
+        orange = listed([f"{name} {words.percent(finding.surfaces[name])}" for name in likely])
         plan = Picture(
             lambda: figures.plan(finding, place),
             "The plan. A line joins source (triangle) and receiver (circle); the darker it is, the "
             "larger the deviation of the pair. The more orange a wall is, the more probable it is.",
+            f"Plan of the room with sources and receivers. Probable surfaces: {orange or 'none'}.",
             name="plan",
         )
         return [*drawn, plan]
@@ -269,6 +264,21 @@ def pictures(
             name="shifts",
         ),
     ]
+
+
+def _bars(verification: Verification) -> Picture:
+    """Return the picture of the mean deviation at data that were not fitted, of each model."""
+    what = "data" if verification.finding.kind == "means" else "pairs"
+    ranges = ", with its range over the simulator's seeds" * (verification.gaps.shape[1] > 1)
+    mean = verification.by_seed.mean(axis=1)
+    each = [f"{gap:.2f} JND {of}" for gap, of in zip(mean, verification.models, strict=True)]
+    title = f"Mean deviation at {what} that were not fitted"
+    return Picture(
+        lambda: figures.bars(verification),
+        f"{title}{ranges}. The dotted line is 1 JND.",
+        f"{title}: {listed(each)}.",
+        name="gap",
+    )
 
 
 def _reproduced(finding: Finding, command: str) -> list[Any]:
