@@ -221,7 +221,7 @@ def shifts(record: Mapping[str, Any]) -> Table:
     """Return the table of the change of each material's coefficients, in input sigmas, by band."""
     each = [(m["name"], numbers(m["shift_in_sigmas"])) for m in record["materials"]]
     rows = [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in each]
-    title = "shift of alpha in standard deviations (input sigma)"
+    title = "Shift of alpha in standard deviations (input sigma)"
     return Table(bands.labels(record["centre_frequencies"]), rows, title, "Material", detail=True)
 
 

@@ -6,6 +6,7 @@ No other module imports jinja2. Autoescaping makes every name plain text.
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -39,6 +40,8 @@ MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
 _ABREAST, _WORDY = 7, 16
 """Columns of a table that fit a sheet; length of a cell beyond which it is of words."""
+_COMMAND = re.compile("`([^`<>]+)`")
+"""Command in a sentence of plain text."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +230,7 @@ def wordy(table: Table) -> list[bool]:
 def _environment() -> Any:
     try:
         import jinja2
-        from markupsafe import Markup
+        from markupsafe import Markup, escape
     except ImportError as error:
         raise MissingDependencyError(
             "the page needs jinja2: pip install 'rtcal[report]'"
@@ -245,6 +248,7 @@ def _environment() -> Any:
         "wordy": wordy,
         "shown": lambda rows: rows[:MOST_ROWS],
         "data": data_of,
+        "with_code": lambda text: Markup(_COMMAND.sub(r"<code>\1</code>", str(escape(text)))),
         "in_style": lambda text: Markup(_in_style(text)),
         "as_it_is": Markup,  # rtcal's own script, and JSON without markup
     }

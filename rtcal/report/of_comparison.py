@@ -251,9 +251,9 @@ def section(c: Comparison) -> list[Any]:
     """Return the first part of a comparison's page: the answer, the picture, and possible causes."""
     picture = Picture(
         lambda: figures.disagreement(c),
-        "How far the run is from the measurement. Dots are pairs; bars are two standard uncertainties "
-        "of the measurement; orange is what errors of the coefficients can explain (two standard "
-        "deviations, including parameters that follow T); grey is one JND.",
+        f"How far the run is from the measurement. {'Dots are pairs; bars' if c.pairs else 'Bars'} "
+        "are two standard uncertainties of the measurement; orange is what errors of the coefficients "
+        "can explain (two standard deviations, including parameters that follow T); grey is one JND.",
         sentence(c),
     )
     return summary(c.blocks(), picture, wide=True)

@@ -184,7 +184,6 @@ def _disagreement(finding: Finding) -> list[Table]:
 
 def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
     """Return what it may be, on which surface, and both states by band."""
-    n = len(finding.case.pairs)
     rows = [
         Row(name, [f"{100 * p:.0f}", "identified" if name in finding.identified_surfaces else ""])
         for name, p in finding.surfaces.items()
@@ -195,12 +194,6 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
         Section("By band", "bands"),
         *drawn,
         *tables(words.numbers(finding)),
-        Note(
-            f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both "
-            "configurations are assumed to be measured at the same positions with the same "
-            "equipment. The first one calibrates the model, so the input coefficients have no "
-            "influence."
-        ),
     ]
 
 
@@ -282,9 +275,17 @@ def _bars(verification: Verification) -> Picture:
 
 
 def _reproduced(finding: Finding, command: str) -> list[Any]:
-    """Return the command that searched; of a saved finding by means its case, unless too large."""
+    """Return the command that searched, or the case of a saved finding by means; what was assumed."""
     said: list[Any] = [Code(command)]
-    if not command:
+    if finding.kind == "states":
+        n = len(finding.case.pairs)
+        assumed = (
+            f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both configurations "
+            "are assumed to be measured at the same positions with the same equipment. The first one "
+            "calibrates the model, so the input coefficients have no influence."
+        )
+        said = [Note(assumed), *said[: bool(command)]]
+    elif not command:
         if finding.kind != "means" or len(case := finding.case.to_json().encode()) > MAX_BYTES:
             return []
         files = (

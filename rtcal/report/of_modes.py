@@ -45,7 +45,7 @@ def page(result: ModesResult) -> Page:
             np.isin(result.alpha, (0.0, 1.0)),
         ),
         Section("Modes", "modes"),
-        *tables(printed),
+        *tables(printed)[:1],
         Note(
             "The last column names the walls whose sigma moves the mode's decay most. In a box, "
             "opposite walls have the same effect on every mode: the decays determine what both absorb "

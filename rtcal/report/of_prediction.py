@@ -9,7 +9,7 @@ from rtcal.loop.predicted import PositionsPrediction
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report import figures
-from rtcal.report.document import Items, Page, Picture, Section, tables
+from rtcal.report.document import Items, Page, Picture, Section, summary, tables
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 
@@ -17,19 +17,15 @@ from rtcal.support.blocks import Note, Row, Table
 def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Page:
     """Return the page of predictions, by an equation or at every position, or of a design."""
     subject, target, beside = "what a change does to the reverberation time", None, list[Any]()
-    summary, variants = list[Any](), tuple[Any, ...]()
+    variants = tuple[Any, ...]()
     if isinstance(result, Design):
         subject = "the cheapest treatments that meet a target"
         variants, target = (result.prediction,), result.model.target
-        summary, beside = [*result.blocks()], [_cheapest(result)]
+        beside = [*tables(result.blocks()), _cheapest(result)]
     elif isinstance(result, Predictions):
         variants, target, beside = result.predictions, result.target, [*result.side_by_side()]
     else:
         variants = (result,)
-    if not isinstance(result, Design):
-        by_equation = [v for v in variants if isinstance(v, Prediction)]
-        summary = [Note(each) for v in by_equation[:1] for each in v.heads[:-1]]
-        summary += [Note(f"{v.name}: {v.headline}") for v in by_equation]
     room = variants[0].before
     f, shown = room.centre_frequencies, [v.shown for v in variants]
     ends = None if target is None else (target.low, target.high)
@@ -37,6 +33,17 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
     caption = (
         f"{shown[0].name} by band: before (dashed), and of each variant with its 90 % interval"
     )
+    picture = Picture(
+        lambda: figures.predicted_times(f, shown[0].before, drawn, ends),
+        f"{caption}{'.' if target is None else '; grey: the target.'}",
+    )
+    if isinstance(result, Design):
+        first = summary(result.blocks(), picture)
+    else:
+        by_equation = [v for v in variants if isinstance(v, Prediction)]
+        first = [Note(each) for v in by_equation[:1] for each in v.heads[:-1]]
+        first += [Note(f"{v.name}: {v.headline}", kind="lead") for v in by_equation]
+        first.append(picture)
 
     def of(variant: Any) -> list[Any]:
         """Return the blocks of a prediction below its title."""
@@ -56,12 +63,7 @@ def page(result: Prediction | PositionsPrediction | Predictions | Design) -> Pag
         room.author,
         subject,
         [
-            Section("Summary", "summary"),
-            *summary,
-            Picture(
-                lambda: figures.predicted_times(f, shown[0].before, drawn, ends),
-                f"{caption}{'.' if target is None else '; grey: the target.'}",
-            ),
+            *first,
             *beside,
             *(block for variant in variants for block in of(variant)),
             Section("What was assumed", "assumed"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,6 +15,7 @@ from rtcal.support import text
 # Orange and blue of Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which readers with any
 # colour vision can distinguish.
 _ABOVE, _BELOW = "230, 159, 0", "0, 114, 178"
+_MINUS = re.compile(r"(?<![\w.)-])-(?=\d)")  # not the hyphen of a name, a date or an exponent
 _STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark notebooks
 
 
@@ -73,11 +75,11 @@ class Row:
 
         Examples
         --------
-        >>> Row("gap / JND", [-1.26, None, "1 to 2"], "+.1f").typeset
-        ['−1.3', '–', '1 to 2']
+        >>> Row("gap / JND", [-1.26, None, "R-2: -2.5 (-4.2)"], "+.1f").typeset
+        ['−1.3', '–', 'R-2: −2.5 (−4.2)']
         """
         return [
-            cell if isinstance(v, str) else "–" if cell == "-" else cell.replace("-", "−")
+            "–" if cell == "-" and not isinstance(v, str) else _MINUS.sub("−", cell)
             for v, cell in zip(self.shown or self.values, self.cells, strict=True)
         ]
 
