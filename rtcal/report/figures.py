@@ -563,7 +563,10 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
     draws none. ``axes`` are those to draw on; None means a new figure. ``finding`` is what `rtcal.find`
     returns for a comparison at positions.
     """
+    from matplotlib.colors import to_rgb
+
     from rtcal.finder.positions.surfaces import kind
+    from rtcal.report.finding_words import percent
 
     case, geometry, located = finding.case, finding.case.geometry, finding.located
     corners, probability = geometry.vertices[:, :2], likely_shares(finding)
@@ -583,14 +586,15 @@ def plan(finding: Finding, place: Place | None = None, axes: Any = None) -> Any:
         if chance < _SHOWN:
             continue
         group = f" ({letter[name]})" if name in letter else ""
-        label = f"{shown(name, 24)}{group}: {100 * chance:.0f} %"
+        label = f"{shown(name, 24)}{group}: {percent(chance)}"
         if kind(geometry, faces) != "wall":
             above.append(label)
             continue
-        style = {"color": ORANGE, "alpha": min(1.0, 0.15 + chance), "linewidth": 7}
+        # Mixed with white: a wall of several faces would add up their opacities.
+        orange = 1 - min(1.0, 0.15 + chance) * (1 - np.array(to_rgb(ORANGE)))
         for i in faces:
             x, y, _ = geometry.vertices[[*geometry.faces[i], geometry.faces[i][0]]].T
-            axes.plot(x, y, zorder=2, solid_capstyle="butt", **style)
+            axes.plot(x, y, color=orange, linewidth=7, zorder=2, solid_capstyle="butt")
         middle = np.average(
             [geometry.vertices[list(geometry.faces[i])].mean(axis=0)[:2] for i in faces],
             axis=0,
@@ -638,7 +642,7 @@ def bars(verification: Verification, axes: Any = None) -> Any:
         error = [[mean - float(gaps.min())], [top - mean]] if len(gaps) > 1 else None
         style = {"color": colour, "hatch": hatch, "edgecolor": BLACK}
         axes.bar(x, mean, width=0.6, yerr=error, capsize=4, **style)
-        _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center")
+        _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center", bbox=_BOX)
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
     _note(axes, "1 JND", (1.5, 1.0), (0, 3), ha="center")
     names = [n.replace(" and", "\nand") for n in verification.models]

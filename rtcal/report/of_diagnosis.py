@@ -136,7 +136,7 @@ def page(result: Diagnosis) -> Page:
                 found.interval,
             ),
         ]
-    said += [Section("The commands that give the same results", "commands", 3), Code(steps(result))]
+    said += [Section("The commands that give the same results", "commands"), Code(steps(result))]
     return replace(made, subject="where simulation and measurement disagree, and why", blocks=said)
 
 
