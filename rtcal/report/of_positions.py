@@ -128,7 +128,6 @@ def page(result: PositionsResult) -> Page:
     blocks = [
         Box(level, lead),
         Items(further),
-        Table(labels, _times(result.matched), "Decay times: means over the pairs that were fitted"),
         *room_view.of_positions(result),
         Section("What was learned", "learned"),
         Note(
@@ -153,6 +152,7 @@ def page(result: PositionsResult) -> Page:
             order,
         ),
         Section("Deviations by pair", "gaps"),
+        Table(labels, _times(result.matched), "Decay times: means over the pairs that were fitted"),
         *gaps,
         *_held_out(result),
         Section("Technical details", "details"),

@@ -116,7 +116,7 @@ class Quantity:
     @property
     def plain(self) -> dict[str, Any]:
         """The quantity as the page's script reads it."""
-        values = [[round(float(v), 4) if np.isfinite(v) else None for v in r] for r in self.values]
+        values = [[round(float(v), 6) if np.isfinite(v) else None for v in r] for r in self.values]
         return {**vars(self), "values": values}
 
 
