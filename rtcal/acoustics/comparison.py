@@ -169,6 +169,11 @@ class Comparison(Result):
         return np.asarray(np.fmax(spread, _in_jnd(np.sqrt(iso), mean, kind)))
 
     @cached_property
+    def _times(self) -> Array:
+        """T in s of the run's coefficients by the equation, (n_bands,)."""
+        return self.equation.reverberation_time(self.run.room)
+
+    @cached_property
     def _prior(self) -> Array:
         """Standard deviation of T in JND by errors of the coefficients, (n_bands,)."""
         room, n = self.run.room, self.run.room.n_bands
@@ -178,19 +183,18 @@ class Comparison(Result):
         area = np.sqrt(variance + np.sum(common**2, axis=0)) * (
             not is_calibrated(room)
         )  # of S'alpha
-        times = self.equation.reverberation_time(room)
         with np.errstate(all="ignore"):
-            slope = times * self.equation.target_sensitivity(room, times)
+            slope = self._times * self.equation.target_sensitivity(room, self._times)
             prior = np.nan_to_num(np.abs(area / slope)) / REVERBERATION[0].jnd  # of T, in JND
         return np.asarray(prior)
 
     @cached_property
     def _per_jnd_of_time(self) -> dict[str, Array]:
         """Change of each parameter in JND with one JND of T in an exponential decay, (n_bands,)."""
-        times, found = self.equation.reverberation_time(self.run.room), {}
+        found = {}
         for p in self.parameters:
             kind, values = OBSERVABLES[p], self.sides[1].mean(p)
-            by_log_time = np.array([_by_log_time(kind, t) for t in times])
+            by_log_time = np.array([_by_log_time(kind, t) for t in self._times])
             off = _in_jnd(kind.of_value(by_log_time, values), values, kind)
             found[p] = off * REVERBERATION[0].jnd
         return found
@@ -258,8 +262,8 @@ class Comparison(Result):
     @cached_property
     def of_the_equation(self) -> Array:
         """Deviation T of the equation - T of the run, in JND, (n_bands,); NaN without T of the run."""
-        run, times = self.run.simulated, self.equation.reverberation_time(self.run.room)
-        return gap_jnd(times, run.reverberation_time, REVERBERATION[0].key)
+        run = self.run.simulated
+        return gap_jnd(self._times, run.reverberation_time, REVERBERATION[0].key)
 
     @property
     def sentence(self) -> str:

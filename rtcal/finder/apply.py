@@ -251,9 +251,8 @@ class CaseModel(RoomSimulator):
     room: Room  # the input materials, followed by one for each effect that absorbs
     stated: Room  # the input materials alone
     whole: RoomState  # state of the model with the coefficients of ``room``
-    absent: Mapping[str, Sequence[Reason]] = field(
-        default_factory=dict
-    )  # by effect, lost in a room
+    # Why a room cannot represent an effect, by the effect's name.
+    absent: Mapping[str, Sequence[Reason]] = field(default_factory=dict)
     inner: Simulator | None = None
     """Simulator of ``stated``, over whose walls the effects' absorption is spread; by default the
     equation gives the values of the first configuration."""
@@ -293,10 +292,7 @@ class CaseModel(RoomSimulator):
         # The stated materials, with which the walls absorb all.
         linear = mean_equation(s.equation).linear()
         bare = replace(s, covering=0.0, objects=0.0)
-        each = (
-            linear.inverse((at.surface_absorption + at.objects) / at.total_area) for at in (s, bare)
-        )
-        whole, walls = each
+        whole, walls = (linear.inverse(_absorbing(at) / at.total_area) for at in (s, bare))
         whole = np.where(np.isfinite(whole), np.minimum(whole, 1.0), 1.0)
         more = (whole - walls) / (1 - walls)
         spread = np.where(more > 0, s.alpha + more * (1 - s.alpha), s.alpha * whole / walls)
@@ -353,6 +349,11 @@ class CaseModel(RoomSimulator):
 
 def _with_effects(case: Case) -> str:
     return "".join(f" with {p.name}" for p in case.applied)
+
+
+def _absorbing(s: RoomState) -> Array:
+    """Return the absorption area of walls and objects in m², (n_bands,)."""
+    return np.asarray(s.surface_absorption + s.objects)
 
 
 def corrected_case(case: Case) -> Corrected:
@@ -447,8 +448,7 @@ def _absorbers(
     top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
     for p, (covering, objects) in gains:
         before, at = at, replace(at, covering=at.covering + covering, objects=at.objects + objects)
-        gain = at.surface_absorption + at.objects - (before.surface_absorption + before.objects)
-        gain = gain / walls
+        gain = (_absorbing(at) - _absorbing(before)) / walls
 
         def lacks(code: str, effect: str = p.name, **values: Any) -> None:
             absent.setdefault(effect, []).insert(0, Reason(code, {"effect": effect, **values}))
