@@ -1,14 +1,12 @@
 """The closed loop: calibrate an equation, and move its target until a simulator has the measured T.
 
-Coefficients that give the measured T by an equation give another T in a simulator. But the simulator's
-T changes with the equation's target T (Bellows & Katz 2025, Sects. 4.2 and 4.3). The loop therefore
-changes the target of each band by a rule. `secant` and `safeguarded` work with decay rates R = 1/T in
-1/s; for one band, a rule takes the past targets, the simulated rates, the measured rate, and the lowest
-and highest target that the equation can give, and returns the next target.
+Coefficients that give the measured T by an equation give another T in a simulator, which changes with
+the equation's target T (Bellows & Katz 2025, Sects. 4.2 and 4.3). So each step calibrates the equation
+to a target, simulates the coefficients, and sets the next target of each band by a rule (`RULES`).
 
-One target per band can match one number: T20, or a compromise with EDT, the weighted geometric mean of
-the decay times, T_c = product of T_p to the power of p's share. Where the times follow the target
-alike, matching T_c leaves the smallest weighted sum of squares of log(T_p / measured T_p).
+One target per band can match one number: T20, or the weighted geometric mean of T20 and EDT, T_c =
+product of T_p to the power of p's share. Where the times follow the target alike, matching T_c leaves
+the smallest weighted sum of squares of log(T_p / measured T_p).
 
 `calibrate_simulator` runs the `Loop` with a simulator that Python can call. For a program that a user
 runs, there are `start`, `Loop.next_alpha` and `Loop.record`, or ``rtcal loop``. Each step by hand
@@ -20,7 +18,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -35,13 +33,7 @@ from rtcal.acoustics.bands import notes as notes_of_bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, cautions, gap_jnd, of_input, of_row, of_unit, rms
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import (
-    EARLY,
-    REVERBERATION,
-    TARGET,
-    observable,
-    parameter_label,
-)
+from rtcal.acoustics.observables import EARLY, REVERBERATION, TARGET, observable, parameter_label
 from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.room_errors import in_words
 from rtcal.acoustics.run import Run, contents
@@ -77,18 +69,16 @@ Weights = Mapping[str, float | Sequence[float]]
 class Matched:
     """Hold the mean decay times over the pairs that a loop matches: T20 alone, or T20 and EDT together.
 
-    ``measured`` has the measured times of each parameter in s, (n_bands,), NaN where missing. The first
-    one is T20, or T30 if T20 was not measured. ``shares`` are the weights of the parameters, which sum
-    to 1 in each band.
-
-    ``time_label`` is the name of the measured reverberation time, such as "T20", and ``kinds`` has its
-    key in each band.
+    ``measured`` has the measured times of each parameter in s, (n_bands,), NaN where missing; the first
+    is T20, or T30 if T20 was not measured. ``shares`` are the weights of the parameters, which sum to 1
+    in each band. ``time_label`` is the name of the measured reverberation time, such as "T20", and
+    ``kinds`` has its key in each band.
     """
 
     measured: Mapping[str, Array]
     shares: Mapping[str, Array]
-    time_label: str = TARGET.label  # of the measured reverberation time
-    kinds: tuple[str, ...] = ()  # key of the measured reverberation time, by band
+    time_label: str = TARGET.label
+    kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("measured", "shares"):
@@ -112,10 +102,7 @@ class Matched:
 
     def combined(self, time: Callable[[str], Array]) -> Array:
         """Return the weighted geometric mean in s of the parameters' times, which ``time`` returns."""
-        total = np.ones(len(self.shares[TARGET.key]))
-        for parameter, share in self.shares.items():
-            total = total * time(parameter) ** share
-        return total
+        return np.asarray(np.prod([time(p) ** s for p, s in self.shares.items()], axis=0))
 
     def of(self, simulated: Measurement) -> Measurement:
         """Return the simulation, with its T30 as T20 if only T30 was measured."""
@@ -123,69 +110,57 @@ class Matched:
         if t30 not in self.kinds or t30 not in simulated.values:
             return simulated
         here = np.array([kind == t30 for kind in self.kinds]) & np.isfinite(simulated.mean(t30))
-        tables: dict[str, Any] = {}
-        for name in ("values", "uncertainty"):
-            table, none = (
-                dict(getattr(simulated, name)),
-                np.full(simulated.values[t30].shape, np.nan),
-            )
-            if {t20, t30} & table.keys():
-                table[t20] = np.where(here, table.get(t30, none), table.get(t20, none))
-            tables[name] = table
-        return replace(simulated, **tables)
+        none = np.full(simulated.values[t30].shape, np.nan)
+        tables = {"values": simulated.values, "uncertainty": simulated.uncertainty}
+        merged: dict[str, Any] = {
+            name: {**of, t20: np.where(here, of.get(t30, none), of.get(t20, none))}
+            for name, of in tables.items()
+            if {t20, t30} & of.keys()
+        }
+        return replace(simulated, **merged)
 
     def noise(self, measurement: Measurement) -> Array:
         """Return the standard error in s of the simulated time that is compared, (n_bands,).
 
-        It is 0 if the simulated values state no uncertainty, and NaN where they state NaN. T20 and EDT
-        come from the same paths, so that their errors are added as if fully correlated.
-
-        ``measurement`` has the simulated values.
+        It is 0 if ``measurement``, the simulated values, states no uncertainty, and NaN where it states
+        NaN. T20 and EDT come from the same paths, so their errors are added as if fully correlated.
         """
         time = self.combined(measurement.mean)
         total = np.zeros(len(time))
         for parameter, share in self.shares.items():
-            errors = measurement.uncertainty.get(parameter, np.zeros((1, len(time))))
-            error = np.sqrt(np.sum(errors**2, axis=0)) / len(errors)
-            part = share * error * (time / measurement.mean(parameter))
-            total = total + np.where(share > 0, part, 0.0)
+            if (errors := measurement.uncertainty.get(parameter)) is not None:
+                error = np.sqrt(np.sum(errors**2, axis=0)) / len(errors)
+                part = share * error * (time / measurement.mean(parameter))
+                total = total + np.where(share > 0, part, 0.0)
         return total
 
 
 def _matched_times(
-    room: Room, measured: Measurement, data: MeasuredTimes, weights: Weights | None = None
+    room: Room, measured: Measurement, data: MeasuredTimes, weights: Weights | None
 ) -> Matched:
-    """Return the measured decay times that a loop matches.
-
-    ``data`` is the measured T in the room's bands. ``weights`` are those of T20 and EDT; None means T20
-    alone. Raises DataError for a weight below 0 or of another parameter, if all weights of a band are
-    0, or if a parameter with a weight was not measured.
-    """
+    """Return the decay times to match; ``data`` is the measured T in the room's bands."""
     stated = {TARGET.key: 1.0} if weights is None else checks.mapped("weights", weights)
     for name in stated:
         checks.choice("weights: a parameter", name, PARAMETERS)
     edt = measured.in_bands(room.centre_frequencies).mean(EARLY.key)
-    t20 = data.reverberation_time
-    times, weight = {TARGET.key: t20, EARLY.key: edt}, np.zeros((len(PARAMETERS), room.n_bands))
-    names = labels(room.centre_frequencies)
+    times = {TARGET.key: data.reverberation_time, EARLY.key: edt}
+    some = np.isfinite([*times.values()]).any(axis=0) & (weights is not None)
+    weight = np.zeros((len(PARAMETERS), room.n_bands))
 
-    def refuse(place: str, bad: NDArray[np.bool_], why: str) -> None:
+    def refuse(bad: NDArray[np.bool_], place: str, why: str) -> None:
         if bad.any():
-            raise DataError(f"{place} at {names[int(np.argmax(bad))]} {why}")
+            where = label(room.centre_frequencies[int(np.argmax(bad))])
+            raise DataError(f"{place} at {where} {why}")
 
     for p, row in zip(PARAMETERS, weight, strict=True):
-        place, of_bands = f"weights[{p!r}]", checks.array(f"weights[{p!r}]", stated.get(p, 0.0))
-        if of_bands.shape not in ((), row.shape):
-            raise DataError(
-                f"{place} has shape {of_bands.shape}; give one number or an array {row.shape}"
-            )
-        row[:] = of_bands
-        refuse(place, ~(np.isfinite(row) & (row >= 0)), "must be finite and 0 or more")
-        lacking = (row > 0) & np.isnan(times[p]) & (np.isfinite(t20) | np.isfinite(edt))
-        if weights is not None:
-            refuse(place, lacking, f"is above 0, and the measurement has no {parameter_label(p)}")
+        place = f"weights[{p!r}]"
+        given = checks.array(place, stated.get(p, 0.0))
+        row[:] = checks.shaped(place, given, room.n_bands) if given.ndim else given
+        refuse(~(np.isfinite(row) & (row >= 0)), place, "must be finite and 0 or more")
+        lacking = (row > 0) & np.isnan(times[p]) & some
+        refuse(lacking, place, f"is above 0, and the measurement has no {parameter_label(p)}")
     largest = weight.max(axis=0)
-    refuse("weights are 0 for every parameter", largest == 0, ": nothing is matched there")
+    refuse(largest == 0, "weights are 0 for every parameter", "so that nothing is matched there")
     weight /= largest  # so that their sum is finite, and none is too small to count
     shares = dict(zip(PARAMETERS, weight / weight.sum(axis=0), strict=True))
     kept = [p for p in PARAMETERS if p == TARGET.key or shares[p].any()]
@@ -206,12 +181,8 @@ STATUSES = (
     "not converging",
     "not confirmed",
 )
-"""Names of a band's status. The last one means that a simulation with another seed did not confirm
-it."""
+"""Names of a band's status. The loop leaves bands of the first four alone."""
 _COMPARED = tuple(dict.fromkeys([*(o.key for o in REVERBERATION), *SHOWN]))
-"""Parameters of which is said that a run or the measurement lacks them."""
-_LEFT_ALONE = STATUSES[:4]
-"""Statuses of bands of which the loop asks nothing more."""
 MAX_DECIMALS = 12
 """Largest number of decimals of alpha that a simulation program can be said to read."""
 _CLOSE_TARGETS = np.log(1.1)
@@ -229,44 +200,36 @@ _FROM_BOUNDS = 1e-3
 infinite without air."""
 _BELOW_LARGEST_MEAN = 0.999  # of the mean coefficient at which the equation ends
 _STRONGEST_SHADE = 5.0  # JND
+_AS_NEAR = 1e-6  # JND by which gaps differ that are the same
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """Hold one simulation of a loop: the coefficients, and the T that the simulator gave with them.
-
-    ``target`` is the T in s to which the equation was calibrated, ``simulated`` the simulated time in s
-    and ``noise`` its standard error, (n_bands,) each. ``alpha`` (n_materials, n_bands) are the
-    simulated coefficients. ``means`` has the simulated means of all parameters that are shown, by key.
-    """
+    """Hold one simulation of a loop: the coefficients, and the T that the simulator gave with them."""
 
     target: Array
-    """T in s to which the equation was calibrated for this simulation, (n_bands,); NaN without a
-    measured T."""
+    """T in s to which the equation was calibrated, (n_bands,); NaN without a measured T."""
     alpha: Array
     """Coefficients that were simulated, (n_materials, n_bands)."""
     simulated: Array
-    """Simulated T20, or its weighted mean with EDT, in s, (n_bands,); NaN if these coefficients give
-    none."""
+    """Simulated T20, or its weighted mean with EDT, in s, (n_bands,); NaN if there is none."""
     noise: Array
-    """Standard error of ``simulated`` in s, (n_bands,); 0 if the simulator gives none, NaN if it is
-    unknown."""
+    """Standard error of ``simulated`` in s, (n_bands,); 0 if none is stated, NaN if it is unknown."""
     means: Mapping[str, Array] = field(default_factory=dict)
-    """Simulated means over the pairs of all parameters that are shown, by parameter, (n_bands,)."""
+    """Simulated means over the pairs of all parameters that are shown, by key, (n_bands,) each."""
 
     def __post_init__(self) -> None:
         alpha = checks.shaped("step: alpha", self.alpha, "n_materials", "n_bands")
-        n_bands = alpha.shape[1]
         object.__setattr__(self, "alpha", alpha)
+
+        def by_band(name: str, values: object) -> Array:
+            return checks.shaped(f"step: {name}", values, alpha.shape[1])
+
         for name in ("target", "simulated", "noise"):
-            values = checks.shaped(f"step: {name}", getattr(self, name), n_bands)
-            object.__setattr__(self, name, values)
-        means = {
-            checks.text("step: a parameter of means", p): checks.shaped(
-                f"step: means[{checks.shown(p)}]", values, n_bands
-            )
-            for p, values in checks.mapped("step: means", self.means).items()
-        }
+            object.__setattr__(self, name, by_band(name, getattr(self, name)))
+        means = checks.mapped("step: means", self.means)
+        named = {checks.text("step: a parameter of means", p): v for p, v in means.items()}
+        means = {p: by_band(f"means[{checks.shown(p)}]", v) for p, v in named.items()}
         object.__setattr__(self, "means", means)
 
 
@@ -291,12 +254,10 @@ class ParameterGap:
 class Loop(Result):
     """Hold a closed loop with a simulator: its simulations, the next coefficients and the result.
 
-    In each step the reverberation equation is calibrated to a target T. The simulator is given the
-    coefficients, and the difference of its T from the measured T sets the next target. Do not make a
-    Loop yourself: `start` returns a new loop, and `record` returns the loop after a further simulation;
-    a loop itself does not change. `save` and `load` keep the loop in a file between two runs of a
-    simulation program. `rtcal.calibrate_simulator` runs a whole loop with a simulator that rtcal can
-    call.
+    Do not make a Loop yourself: `start` returns a new loop, and `record` returns the loop after a
+    further simulation; a loop itself does not change. `save` and `load` keep the loop in a file between
+    two runs of a simulation program. `rtcal.calibrate_simulator` runs a whole loop with a simulator
+    that rtcal can call.
 
     Examples
     --------
@@ -405,18 +366,19 @@ class Loop(Result):
     @cached_property
     def _best(self) -> Step:
         """What each band has in its best step, which were perhaps never simulated together."""
-
-        def of_best(of_steps: Sequence[Array]) -> Array:
-            return np.stack([of_steps[b][..., k] for k, b in enumerate(self.best)], axis=-1)
-
+        chosen = [self.steps[b] for b in self.best]
         none = np.full(self.prior.n_bands, np.nan)
+
+        def of_best(by_band: Sequence[Array]) -> Array:
+            return np.stack([values[..., k] for k, values in enumerate(by_band)], axis=-1)
+
         every = {p for step in self.steps for p in step.means}
         return Step(
-            **{
-                n: of_best([getattr(s, n) for s in self.steps])
-                for n in ("target", "alpha", "simulated", "noise")
-            },
-            means={p: of_best([s.means.get(p, none) for s in self.steps]) for p in every},
+            target=of_best([step.target for step in chosen]),
+            alpha=of_best([step.alpha for step in chosen]),
+            simulated=of_best([step.simulated for step in chosen]),
+            noise=of_best([step.noise for step in chosen]),
+            means={p: of_best([step.means.get(p, none) for step in chosen]) for p in every},
         )
 
     @property
@@ -434,34 +396,10 @@ class Loop(Result):
         noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
         return np.fmax(self.tolerance - noise, self.tolerance / 2)
 
-    @cached_property
-    def _status_of_steps(self) -> tuple[str, ...]:
-        """Status of each band before a confirmation: one of `STATUSES`."""
-        gap = gap_jnd(self._best.simulated, self.wanted)
-        close = np.abs(np.log(self._target_without_t20 / self._best.target)) < _CLOSE_TARGETS
-        (shortest, longest), target = self._target_limits, self.steps[-1].target
-        at_limit = ((gap < 0) & (target >= longest * (1 - _AT_LIMIT))) | (
-            (gap > 0) & (target <= shortest * (1 + _AT_LIMIT))
-        )
-        blocked = close | at_limit
-        if len(last := self.steps[-_STUCK_STEPS:]) == _STUCK_STEPS:
-            changed = np.diff([step.alpha for step in last], axis=0) != 0
-            same = np.diff([step.simulated for step in last], axis=0) == 0
-            blocked |= changed.any(axis=1).all(axis=0) & same.all(axis=0)
-        status = np.select(
-            [np.isnan(self.wanted), np.abs(gap) <= self.goal, blocked],
-            ["no measured T", "converged", "unreachable"],
-            "not converging",
-        )
-        if self.low is not None:
-            own = np.where(self.low.carried, "by modes", "too few modes")
-            status = np.where(self.low.below, own, status)
-        return tuple(status.tolist())
-
     @property
     def finished(self) -> bool:
         """Whether no band would improve with another simulation."""
-        return bool(self.steps) and "not converging" not in self._status_of_steps
+        return bool(self.steps) and "not converging" not in self.status
 
     # What came of it
 
@@ -481,15 +419,10 @@ class Loop(Result):
     @cached_property
     def ends(self) -> tuple[Step, Step]:
         """First step, and last step: that of `final`, or a step with the best values of each band."""
-        if not self.steps:
-            raise DataError(
-                "the loop has no simulation yet, so there is no deviation; simulate and report "
-                "the result first"
-            )
-        first = self.steps[0]
-        if self.before is not None:
-            first = self._step(self.before, self.prior.alpha)
-        return first, self._best if self.final is None else self._step(self.final, self.alpha)
+        last = self._best if self.final is None else self._step(self.final, self.alpha)
+        if self.before is None:
+            return self.steps[0], last
+        return self._step(self.before, self.prior.alpha), last
 
     def _step(self, of: Measurement, alpha: Array, target: Array | None = None) -> Step:
         of = self.matched.of(of)
@@ -538,7 +471,7 @@ class Loop(Result):
         """
         return gap_jnd(self.ends[1].simulated, self.wanted)
 
-    @property
+    @cached_property
     def status(self) -> tuple[str, ...]:
         """Status of each band, (n_bands,): one of `STATUSES`, such as "converged".
 
@@ -549,13 +482,35 @@ class Loop(Result):
         plus the noise. "by modes", "too few modes": the band is below the Schroeder frequency
         (``low``).
         """
-        status = self._status_of_steps
-        if self.final is None:
-            return status
+        gap, last = gap_jnd(self._best.simulated, self.wanted), self.steps[-1]
+        within = np.abs(gap) <= self.goal
         noise = self.ends[1].noise / TARGET.jnd_of(self.wanted)
         kept = (noise <= self.tolerance) & (np.abs(self.gap) <= self.tolerance + noise)
-        lost = (np.array(status) == "converged") & ~kept
-        return tuple(np.where(lost, "not confirmed", status).tolist())
+        shortest, longest = self._target_limits
+        blocked = np.abs(np.log(self._target_without_t20 / self._best.target)) < _CLOSE_TARGETS
+        blocked |= (gap < 0) & (last.target >= longest * (1 - _AT_LIMIT))
+        blocked |= (gap > 0) & (last.target <= shortest * (1 + _AT_LIMIT))
+        if len(steps := self.steps[-_STUCK_STEPS:]) == _STUCK_STEPS:
+            changed = np.diff([step.alpha for step in steps], axis=0) != 0
+            same = np.diff([step.simulated for step in steps], axis=0) == 0
+            blocked |= changed.any(axis=1).all(axis=0) & same.all(axis=0)
+        rows = {
+            "no measured T": np.isnan(self.wanted),
+            "not confirmed": within & ~kept & (self.final is not None),
+            "converged": within,
+            "unreachable": blocked,
+        }
+        if self.low is not None:
+            of_modes = {True: "by modes", False: "too few modes"}
+            by = {name: self.low.below & (self.low.carried == c) for c, name in of_modes.items()}
+            rows = by | rows
+        return tuple(np.select([*rows.values()], [*rows], "not converging").tolist())
+
+    @property
+    def status_now(self) -> tuple[str, ...]:
+        """Status of each band as printed: "not yet" for "not converging" in an unfinished loop."""
+        on = self.final is None and not self.finished
+        return tuple("not yet" if on and s == "not converging" else s for s in self.status)
 
     @cached_property
     def gaps(self) -> dict[str, ParameterGap]:
@@ -579,8 +534,7 @@ class Loop(Result):
     def compromise(self) -> dict[str, ParameterGap]:
         """Deviations before and after of each matched parameter, by its key "t20" or "edt".
 
-        One target per band cannot match two parameters exactly. ``lost`` of a `ParameterGap` is how
-        much farther, in JND, a parameter is from its measured value than the matched mean of both.
+        One target per band cannot match two parameters exactly: see ``lost`` of `ParameterGap`.
         """
         return {p: self.gaps[p] for p in self.matched.shares}
 
@@ -645,21 +599,15 @@ class Loop(Result):
         return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
 
     def _unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
-        """Return a list with a caution if a step's simulated T is off by a power of ten (wrong unit).
-
-        The list is empty otherwise. The T that is expected for ``step`` is the simulated T of the step
-        before, ``last``, times the ratio by which the equation's T changed. If ``last`` is None, it is
-        the equation's T.
-        """
+        """Return a caution if a step's T is off by a power of ten from `_expected`; else none."""
         of = "the one that the coefficients give by the equation"
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
     def _follows(self, step: Step, last: Step) -> bool:
-        """Return whether the simulated T changed from ``last`` to ``step`` as the equation's T does.
+        """Return whether ln T changed as the equation's does, by at least a tenth, in all bands together.
 
-        The change of the simulated ln T must be at least a tenth of the change of the equation's ln T,
-        by a fit over all bands. True if the equation's T changes by less than one JND. In halls with
-        concentrated absorption, the simulated T changes by about half as much as the equation's.
+        True if the equation's T changes by less than one JND. In halls with concentrated absorption,
+        the simulated T changes by about half as much as the equation's.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             wanted = np.log(self._expected(step, last) / last.simulated)
@@ -684,25 +632,16 @@ class Loop(Result):
         if not self.steps:
             return self.wanted.copy()
         target, without_t20 = self._best.target.copy(), self._target_without_t20
+        stated, halfway = self._own_target(self.prior.alpha), np.sqrt(target * without_t20)
+        shortest, longest = self._target_limits
+        shortest = np.where(without_t20 < target, np.maximum(shortest, halfway), shortest)
+        longest = np.where(without_t20 > target, np.minimum(longest, halfway), longest)
         for k in np.flatnonzero(self._moving):
-            shortest, longest = (limit[k] for limit in self._target_limits)
-            known = [step for step in self.steps if np.isfinite(step.simulated[k])]
-            if not known:
-                stated = self.equation.reverberation_time(self.prior)[k]
-                target[k] = np.clip(stated, shortest, longest)
-                continue
-            proposed = next_target(
-                self.rule,
-                np.array([step.target[k] for step in known]),
-                np.array([step.simulated[k] for step in known]),
-                self.wanted[k],
-                shortest,
-                longest,
-            )
-            halfway = np.sqrt(target[k] * without_t20[k])
-            # Without such a target, NaN makes the comparison False and the proposal stands.
-            beyond = (proposed - halfway) * (without_t20[k] - target[k]) > 0
-            target[k] = halfway if beyond else proposed
+            known = [s for s in self.steps if np.isfinite(s.simulated[k])]
+            targets = np.array([step.target[k] for step in known])
+            times = np.array([step.simulated[k] for step in known])
+            ends = self.wanted[k], shortest[k], longest[k]
+            target[k] = next_target(self.rule, targets, times, *ends) if known else stated[k]
         return target
 
     @property
@@ -715,23 +654,17 @@ class Loop(Result):
         return np.where(self._moving, alpha, self.best_alpha) if self.steps else alpha
 
     def _rounded(self, alpha: Array) -> Array:
-        """Return coefficients (n_materials, n_bands) rounded to the loop's number of ``decimals``.
-
-        A coefficient that would fall below the room's ``alpha_min`` is rounded up. Without ``decimals``
-        nothing is rounded.
-        """
+        """Return coefficients rounded to ``decimals``, up where they would fall below ``alpha_min``."""
         if self.decimals is None:
             return alpha.copy()
         rounded = np.round(alpha, self.decimals)
-        if self.prior.alpha_min is None:
-            return rounded
         up = np.round(rounded + 10.0**-self.decimals, self.decimals)
-        return np.where(rounded < self.prior.alpha_min, up, rounded)
+        return np.where(rounded < self.prior.least_alpha, up, rounded)
 
     @property
     def _moving(self) -> NDArray[np.bool_]:
         """Whether the next step moves the band's target, (n_bands,)."""
-        status, gap = np.array(self._status_of_steps), gap_jnd(self._best.simulated, self.wanted)
+        status, gap = np.array(self.status), gap_jnd(self._best.simulated, self.wanted)
         needed = status == "not converging"
         rough = (np.abs(gap) > self.goal / 2) & np.isnan(self._target_without_t20)
         return np.asarray(needed | ((status == "converged") & rough & needed.any()))
@@ -761,6 +694,11 @@ class Loop(Result):
         high = np.minimum(most - margin, largest)
         return self.equation.time(room, high), self.equation.time(room, least + margin)
 
+    def _own_target(self, alpha: Array) -> Array:
+        """Return the equation's T in s of any coefficients, (n_bands,), NaN without a measured T."""
+        own = self.equation.time(self.prior, self.prior.areas @ alpha)
+        return np.where(np.isfinite(self.wanted), np.clip(own, *self._target_limits), np.nan)
+
     def record(
         self,
         alpha: Array,
@@ -769,7 +707,7 @@ class Loop(Result):
         *,
         stated: bool = False,
     ) -> Loop:
-        """Return the loop after a simulation of `next_alpha`, or of the input coefficients.
+        """Return the loop after a simulation of `next_alpha`, or of coefficients of your own.
 
         A band may lack a T20 that it had in an earlier step: its target then moves back towards the
         target of that step. A simulation that is recorded once no band needs another one (``finished``)
@@ -785,7 +723,7 @@ class Loop(Result):
             Numbers, from 0, of bands in which ``alpha`` gave no T20, so that you simulated other
             coefficients there; their T20 in ``simulated`` is ignored. None by default.
         stated : bool
-            True if ``alpha`` are your input coefficients in place of `next_alpha`.
+            True if ``alpha`` are coefficients of your own, such as the input, in place of `next_alpha`.
 
         Raises
         ------
@@ -806,29 +744,13 @@ class Loop(Result):
                     f"without_t20 has {band}; the bands are numbered 0 to {len(lost) - 1}"
                 )
             lost[band] = True
-        target = self.next_target
-        if checks.flag("stated", stated):
-            target = self._own_target(check_alpha(self.prior, alpha))
-        step = self._step(simulated, check_alpha(self.prior, alpha), target)
-        number = self.simulations + 1
+        alpha = check_alpha(self.prior, alpha)
+        target = self._own_target(alpha) if checks.flag("stated", stated) else self.next_target
+        step, number = self._step(simulated, alpha, target), self.simulations + 1
         if self.finished:
             return replace(self, returned=step.alpha, after=simulated, simulations=number)
         step = replace(step, simulated=np.where(lost, np.nan, step.simulated))
         return replace(self, steps=(*self.steps, step), simulations=number)
-
-    def _own_target(self, alpha: Array) -> Array:
-        """Return the equation's T in s of any coefficients, (n_bands,), NaN without a measured T."""
-        own = np.clip(
-            self.equation.time(self.prior, self.prior.areas @ alpha), *self._target_limits
-        )
-        return np.where(np.isfinite(self.wanted), own, np.nan)
-
-    def _after_run(self, run: Run, simulated: Measurement) -> Loop:
-        """Return the loop that begins with a run you made; ``simulated`` are its values to compare."""
-        # Bands without T keep their input, or what the room modes say.
-        alpha = np.where(np.isfinite(self.wanted), run.room.alpha, self.prior.alpha)
-        step = self._step(simulated, alpha, self._own_target(alpha))
-        return replace(self, steps=(step,), simulations=1)
 
     def _lost(self, simulation: Measurement) -> NDArray[np.bool_]:
         """Return in which bands some pair of a simulation lacks what is matched, (n_bands,).
@@ -843,15 +765,14 @@ class Loop(Result):
                 f"the simulation has {span(simulation.centre_frequencies)}, but the room "
                 f"has {span(frequencies)}. Simulate in the bands of the room"
             )
-        simulation = self.matched.of(simulation)
-        measured, missing = np.isfinite(self.wanted), {}
+        simulation, measured = self.matched.of(simulation), np.isfinite(self.wanted)
+        missing = {}
         for parameter, share in self.matched.shares.items():
             if parameter not in simulation.values:
+                name = self.matched.name_of(parameter)
                 raise DataError(
-                    f"the simulation has no {self.matched.name_of(parameter)}, but "
-                    f"{self.matched.name_of(parameter)} was measured. The simulation has "
-                    f"{contents(simulation)}. Export {self.matched.name_of(parameter)} "
-                    "from your program, too"
+                    f"the simulation has no {name}, but {name} was measured. The simulation has "
+                    f"{contents(simulation)}. Export {name} from your program, too"
                 )
             missing[parameter] = np.isnan(simulation.values[parameter]) & measured & (share > 0)
         lost = np.any([absent.any(axis=0) for absent in missing.values()], axis=0)
@@ -861,9 +782,8 @@ class Loop(Result):
             for pair, k in np.argwhere(absent & refused)[:1].tolist():
                 of = "" if simulation.is_summary else f"{' to '.join(simulation.pairs[pair])}, "
                 raise DataError(
-                    f"simulated {parameter_label(parameter)} at "
-                    f"{of}{label(frequencies[k])} is missing, but T was measured there. "
-                    "Simulate this band, too"
+                    f"simulated {parameter_label(parameter)} at {of}{label(frequencies[k])} is "
+                    "missing, but T was measured there. Simulate this band, too"
                 )
         return np.asarray(lost)
 
@@ -888,51 +808,42 @@ class Loop(Result):
                 f"{path} is not the state of a loop, but a {type(loop).__name__}. Give the "
                 "file that `rtcal loop start` wrote"
             )
+        if room is None:
+            return loop
         own = loop.low.prior if loop.low else loop.prior
-        if room is not None and _numbers(room) != _numbers(own):
+        if not all(np.array_equal(getattr(room, n), getattr(own, n)) for n in _OF_ROOM):
             raise DataError(
                 f'{path} belongs to another room, or room "{room.name}" was changed after '
                 "the loop was started. Give the room with which the loop was started"
             )
-        return loop if room is None or loop.low else replace(loop, prior=room)
+        return loop if loop.low else replace(loop, prior=room)
 
     # What is shown
 
     def __repr__(self) -> str:
-        n, of = self.simulations, self.simulator or self.prior.name
+        of = shortened(self.simulator or self.prior.name)
         converged = self.status.count("converged") if self.steps else 0
-        return (
-            f'<Loop "{shortened(of)}": {n} simulation{"s" * (n != 1)}, {converged} of '
-            f"{np.isfinite(self.wanted).sum()} bands converged>"
-        )
-
-    @property
-    def status_now(self) -> tuple[str, ...]:
-        """Status of each band as printed: "not yet" for "not converging" in an unfinished loop."""
-        on = self.final is None and not self.finished
-        return tuple("not yet" if on and s == "not converging" else s for s in self.status)
+        n_bands = np.isfinite(self.wanted).sum()
+        return f'<Loop "{of}": {_simulations(self)}, {converged} of {n_bands} bands converged>'
 
     def blocks(self) -> list[Block]:
         """Return the notes and tables that `print` shows: deviation, status and parameters by band.
 
         Raises DataError for a loop without a simulation.
         """
+        best = [int(b) + 1 for b in self.best]
         first, last = (step.simulated for step in self.ends)
         gaps, goals = zip(*map(_apart, self.gap, self.goal), strict=True)
+        shade = np.nan_to_num(self.gap) / _STRONGEST_SHADE
         rows = [
             Row("T wanted / s", self.wanted, ".3f"),
             Row("T of first run / s", first, ".3f"),
             Row("T simulated / s", last, ".3f"),
             Row("first deviation / JND", gap_jnd(first, self.wanted), "+.1f"),
-            Row(
-                "deviation / JND",
-                self.gap,
-                shade=np.nan_to_num(self.gap) / _STRONGEST_SHADE,
-                shown=gaps,
-            ),
+            Row("deviation / JND", self.gap, shade=shade, shown=gaps),
             Row("required within / JND", self.goal, shown=goals),
             Row("missing absorption / σ", self.outcome.plausibility.z, "+.1f"),
-            Row("number of nearest run", [int(b) + 1 for b in self.best], "d"),
+            Row("number of nearest run", best, "d"),
             Row("status", self.status_now),
         ]
         for parameter, part in self.compromise.items() if len(self.matched.shares) > 1 else ():
@@ -950,29 +861,20 @@ class Loop(Result):
             for of in (observable(p),)
             for when, value in means.items()
         ]
-        names, n = labels(self.prior.centre_frequencies), self.simulations
+        names = labels(self.prior.centre_frequencies)
         of, worst = self.simulator or "the program that was run by hand", "was compared in no band"
         if np.isfinite(self.gap).any():
             k = int(np.nanargmax(np.abs(self.gap)))
             worst = f"deviates from the measured T by up to {abs(self.gap[k]):.1f} JND ({names[k]})"
+        said = f"After {_simulations(self)}, the simulated T {worst}. The coefficients are valid "
+        tables = [Table(names, rows, "By band")]
+        if others:
+            title = "Other parameters, means over pairs: first run (before), nearest run (after)"
+            tables.append(Table(names, others, title))
         return [
-            Note(
-                f"After {n} simulation{'s' * (n != 1)}, the simulated T {worst}. The coefficients are "
-                f"valid only for {of}."
-            ),
+            Note(f"{said}only for {of}."),
             *map(Note, cautions(self.trust_marks, lettered=False)),
-            Table(names, rows, "By band"),
-            *(
-                [
-                    Table(
-                        names,
-                        others,
-                        "Other parameters, means over pairs: first run (before), nearest run (after)",
-                    )
-                ]
-                if others
-                else []
-            ),
+            *tables,
             *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self._notes),
         ]
 
@@ -1005,20 +907,16 @@ class Loop(Result):
         return found | super().to_dict() if self.steps else found
 
 
-def _numbers(room: Room) -> list[bytes]:
-    """Return a room's materials, areas, bands, air and prior as one comparable value."""
-    numbers = (
-        [room.volume, room.speed_of_sound],
-        room.areas,
-        room.centre_frequencies,
-        room.air_attenuation,
-        room.alpha,
-        room.sigma,
-    )
-    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
-
-
 _SETTINGS = ("simulator", "wanted", "rule", "method", "decimals", "tolerance", "steps")
+_OF_ROOM = (
+    *("materials", "volume", "areas", "centre_frequencies"),
+    *("speed_of_sound", "air_attenuation", "alpha", "sigma"),
+)
+"""Numbers of a room that stay the same in a loop."""
+
+
+def _simulations(loop: Loop) -> str:
+    return f"{loop.simulations} simulation{'s' * (loop.simulations != 1)}"
 
 
 def _apart(gap: float, goal: float) -> tuple[str, str]:
@@ -1029,9 +927,8 @@ def _apart(gap: float, goal: float) -> tuple[str, str]:
     >>> _apart(-0.998, 1.0), _apart(-1.002, 1.0), _apart(-0.998, 0.996)
     (('-1.00', '1.00'), ('-1.002', '1.000'), ('-0.998', '0.996'))
     """
-    digits = range(2, 9)
-    same = (d for d in digits if (round(abs(gap), d) <= round(goal, d)) == (abs(gap) <= goal))
-    n = next(same, digits[-1])
+    same = (d for d in range(2, 8) if (round(abs(gap), d) <= round(goal, d)) == (abs(gap) <= goal))
+    n = next(same, 8)
     return text.number(gap, f"+.{n}f"), text.number(goal, f".{n}f")
 
 
@@ -1103,18 +1000,17 @@ def start(
     both = None
     if run is not None:
         checks.instance("run", run, Run).refuse_other(prior)
-        both, asked = run.beside(measured), [[o.key for o in REVERBERATION]]
-        asked += [[EARLY.key]] if EARLY.key in (weights or ()) else []
-        for keys in asked:
-            if not {*keys} & both.measured.values.keys():
-                raise run.nothing_common(measured, " or ".join(map(parameter_label, keys)))
+        both = run.beside(measured)
+        for needed in (REVERBERATION, (EARLY,) if EARLY.key in (weights or ()) else ()):
+            if needed and not {o.key for o in needed} & both.measured.values.keys():
+                raise run.nothing_common(measured, " or ".join(o.label for o in needed))
         measured = both.measured
     data = times_in_room(prior, measured)
-    what = _matched_times(prior, measured, data, weights)
-    measured_means = means(measured.in_bands(prior.centre_frequencies))
+    matched = _matched_times(prior, measured, data, weights)
+    shown = means(measured.in_bands(prior.centre_frequencies))
     loop = Loop(
         prior=prior,
-        matched=what,
+        matched=matched,
         data=data_history(prior, whole),
         rule=rule,
         method=method,
@@ -1122,12 +1018,16 @@ def start(
         decimals=decimals,
         tolerance=tolerance,
         bent=data.bent,
-        beside={p: mean for p, mean in measured_means.items() if p not in what.shares},
+        beside={p: mean for p, mean in shown.items() if p not in matched.shares},
         low=low,
         notes=() if both is None else tuple(both.left_out(_COMPARED)),
     )
     loop.calibrated(loop.wanted)  # warns of a room without air
-    return loop if run is None or both is None else loop._after_run(run, both.run)
+    if run is None or both is None:
+        return loop
+    # Bands without T keep their input, or what the room modes say.
+    alpha = np.where(np.isfinite(loop.wanted), run.room.alpha, prior.alpha)
+    return loop.record(alpha, both.run, stated=True)
 
 
 def calibrate_simulator(
@@ -1196,8 +1096,7 @@ def calibrate_simulator(
     >>> rt.calibrate_simulator(program, room, measured)
     <Loop "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
-    stated = room.prior if isinstance(room, ModesResult) else room
-    check_fits(simulator, stated)
+    check_fits(simulator, room.prior if isinstance(room, ModesResult) else room)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
     checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
@@ -1206,30 +1105,23 @@ def calibrate_simulator(
     measured, notes = at_places(simulator, measured)
     if exclude:
         refuse_unknown(exclude, measured)
-        measured = _without(measured, exclude)
-        notes = (*notes, left_out(exclude))
+        measured, notes = _without(measured, exclude), (*notes, left_out(exclude))
     # The result's notes and marks say it.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OtherBandsWarning)
         loop = start(room, measured, rule=rule, **options)
-    frequencies = stated.centre_frequencies
+    frequencies, kinds = loop.prior.centre_frequencies, loop.matched.kinds
     notes += tuple(map(as_sentence, notes_of_bands(measured.centre_frequencies, frequencies)))
-    parameters = times_in_room(stated, measured).parameter
-    named = zip(frequencies, parameters, strict=True)
-    if in_place := [label(f) for f, p in named if p not in ("", TARGET.key)]:
-        where = f" at {', '.join(in_place)}" if TARGET.key in parameters else ""
+    other = [p not in ("", TARGET.key) for p in kinds]
+    if any(other):
+        where = f" at {', '.join(labels(frequencies[other]))}" if TARGET.key in kinds else ""
         notes += (f"T30 is matched{where} in place of T20, which was not measured.",)
-    calls = _Calls(simulator, max(max_simulations - 1, 1), exclude)
+    calls = _Calls(simulator, exclude, max(max_simulations - 1, 1))
     try:
-        while calls.left and not loop.finished:
-            step = calls.stated(loop, seed) if not (calls.number or loop.steps) else None
-            step = step or calls.step(loop, seed)
-            if step is None:
-                break
-            loop = step
+        for loop in _steps(loop, calls, seed):  # noqa: B020 (each is the loop after one more step)
             if after_step is not None:
                 after_step(loop)
-        calls.limit = max_simulations
+        calls.left += max_simulations - max(max_simulations - 1, 1)
         loop = _judged(calls, loop, seed)
     except RtcalError as error:
         error.loop = loop
@@ -1248,65 +1140,59 @@ def _without(measurement: Measurement, exclude: Sequence[Pair]) -> Measurement:
 
 @dataclass
 class _Calls:
-    """The calls of a simulator, with their coefficients and measurements, and their limit."""
+    """The calls of a simulator: how many are left, and what they gave."""
 
     simulator: Simulator
-    limit: int
     exclude: Sequence[Pair]
-    answers: list[tuple[Array, int, Measurement]] = field(default_factory=list)
+    left: int
     number: int = 0
+    answers: list[tuple[Array, int, Measurement]] = field(default_factory=list)
 
-    @property
-    def left(self) -> int:
-        return self.limit - self.number
-
-    def simulate(self, alpha: Array, seed: int) -> Measurement:
-        self.number += 1
+    def __call__(self, alpha: Array, seed: int) -> Measurement:
+        self.left, self.number = self.left - 1, self.number + 1
         measurement = _without(run(self.simulator, alpha, seed=seed), self.exclude)
         self.answers.append((alpha, seed, measurement))
         return measurement
 
-    def stated(self, loop: Loop, seed: int) -> Loop | None:
-        """Return the loop after the stated coefficients, so that none ends farther away.
 
-        None where no second call is left, or for coefficients that some band has no T20 for: the
-        equation's are simulated first then.
-        """
-        if self.left < 2:
-            return None
-        alpha = loop._rounded(loop.prior.alpha)
+def _steps(loop: Loop, calls: _Calls, seed: int) -> Iterator[Loop]:
+    """Yield the loop after each step, until it is finished or no call is left.
+
+    The input coefficients come first, so that no band ends farther away, unless some band has no T20
+    with them. Where `Loop.next_alpha` gives some bands no T20, these are simulated once more with
+    coefficients that gave one. An error in every band is raised, and so is NaN in the first step.
+    """
+    stated = loop._rounded(loop.prior.alpha)
+    if calls.left > 1 and not loop.steps:
         try:
-            return loop.record(alpha, self.simulate(alpha, seed), stated=True)
+            loop = loop.record(stated, calls(stated, seed), stated=True)
         except RtcalError as error:
             if not error.bands and not isinstance(error, DataError):
                 raise
-            return None
-
-    def step(self, loop: Loop, seed: int) -> Loop | None:
-        """Return the loop after its next coefficients.
-
-        If some bands have no T20, they are simulated again with coefficients that gave one, before the
-        first step with the prior; None if no call is left for that. An error in every band is raised,
-        and so is NaN in the first step.
-        """
+        else:
+            yield loop
+    while calls.left and not loop.finished:
         alpha = loop.next_alpha
         try:
-            return loop.record(alpha, self.simulate(alpha, seed))
+            loop = loop.record(alpha, calls(alpha, seed))
         except RtcalError as error:
             nan_at_first = isinstance(error, SimulatorError) and not loop.steps
             if not error.bands or nan_at_first or 1 < len(alpha[0]) == len(error.bands):
                 raise
-            if not self.left and not loop.steps:
+            if not calls.left and not loop.steps:
                 raise
             without_t20 = error.bands
-        if not self.left:
-            return None
+        else:
+            yield loop
+            continue
+        if not calls.left:
+            return
         with_t20 = alpha.copy()
         for k in without_t20:
-            steps = [step for step in loop.steps if np.isfinite(step.simulated[k])]
-            known = steps[-1].alpha if steps else loop._rounded(loop.prior.alpha)
-            with_t20[:, k] = known[:, k]
-        return loop.record(alpha, self.simulate(with_t20, seed), without_t20)
+            known = [stated, *(s.alpha for s in loop.steps if np.isfinite(s.simulated[k]))]
+            with_t20[:, k] = known[-1][:, k]
+        loop = loop.record(alpha, calls(with_t20, seed), without_t20)
+        yield loop
 
 
 def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
@@ -1318,17 +1204,16 @@ def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
     simulator, alpha = calls.simulator, loop.best_alpha
     confirmation = None
     if not simulator.deterministic and "converged" in loop.status:
-        confirmation = calls.simulate(alpha, seed + 1)
+        confirmation = calls(alpha, seed + 1)
     simulated = [m for a, s, m in calls.answers if s == seed and np.array_equal(a, alpha)]
-    after = simulated[-1] if simulated else confirmation or calls.simulate(alpha, seed)
+    after = simulated[-1] if simulated else confirmation or calls(alpha, seed)
 
     def off(of: Measurement) -> float:
         return float(rms(gap_jnd(loop.matched.combined(loop.matched.of(of).mean), loop.wanted)))
 
-    if simulator.deterministic:
-        for tried, _, measurement in calls.answers:
-            if off(measurement) < off(after) - _AS_NEAR:
-                alpha, after = tried, measurement
+    for tried, _, measurement in calls.answers if simulator.deterministic else ():
+        if off(measurement) < off(after) - _AS_NEAR:
+            alpha, after = tried, measurement
     return replace(
         loop,
         simulator=simulator.name,
@@ -1340,15 +1225,14 @@ def _judged(calls: _Calls, loop: Loop, seed: int) -> Loop:
     )
 
 
-_AS_NEAR = 1e-6
-"""JND by which gaps differ that are the same."""
+# The files of a loop by hand: its state, the room to simulate, and the tables that are read
 
 
 def refuse_progress(state: str) -> None:
     """Raise DataError if the loop's file at this path already holds simulations."""
-    if Path(state).exists() and (n := len(Loop.load(state).steps)):
+    if Path(state).exists() and (loop := Loop.load(state)).steps:
         raise DataError(
-            f"{state} already has {n} simulation{'s' * (n > 1)} of a loop. To start again, "
+            f"{state} already has {_simulations(loop)} of a loop. To start again, "
             "delete this file, or give another file with --state"
         )
 
@@ -1360,7 +1244,7 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
     digit, differs by a power of ten from the expected T, or does not change as the coefficients do.
     ``table`` is the name of the file.
     """
-    doubt, last = "", loop.steps[-1] if loop.steps else None
+    last = loop.steps[-1] if loop.steps else None
     same = [
         n
         for n, earlier in enumerate(loop.steps, 1)
@@ -1370,26 +1254,20 @@ def refuse_doubtful(loop: Loop, step: Step, table: str) -> None:
     if marks := loop._unit_of(step, last):
         doubt = marks[0].sentence
     elif last is None and np.array_equal(step.simulated, loop.wanted, equal_nan=True):
+        of = loop.matched.time_label
         doubt = (
-            f"every simulated {loop.matched.time_label} equals the measured "
-            f"{loop.matched.time_label} to the last digit. Probably this table is the "
-            "measurement, and not the simulation"
+            f"every simulated {of} equals the measured {of} to the last digit. Probably "
+            "this table is the measurement, and not the simulation"
         )
-    elif same:
-        step_is = "the last run" if same[-1] == len(loop.steps) else f"run {same[-1]}"
+    elif same or (last is not None and not loop._follows(step, last)):
+        of = f"the same as in run {same[-1]}" if same else "about the same as in the last run"
         doubt = (
-            f"the values equal those of {step_is}, although the coefficients have changed "
-            "since. Probably an older room was simulated: simulate the one that `rtcal "
-            "loop` wrote last"
+            f"T is {of}, although the coefficients have changed since. Check that the program used "
+            "the room that `rtcal loop` wrote last, with its coefficients"
         )
-    elif last is not None and not loop._follows(step, last):
-        doubt = (
-            "T is about the same as in the last run, although the coefficients have "
-            "changed since. Check that the program used the room that `rtcal loop` wrote "
-            "last, with its coefficients"
-        )
-    if doubt:
-        raise DataError(f"{table}: {as_sentence(doubt)} If the table is right, add --again")
+    else:
+        return
+    raise DataError(f"{table}: {as_sentence(doubt)} If the table is right, add --again")
 
 
 def record(
@@ -1407,10 +1285,10 @@ def record(
             f"was not used. The coefficients are in {out}; `rtcal report {state}` shows "
             "how they changed"
         )
-    alpha, written = loop.next_alpha, None
+    alpha = written = loop.next_alpha
     with suppress(DataError):  # another name than last time, or no room: it shows nothing
-        written = np.round(Room.from_file(out).alpha, 9)
-    if written is not None and not np.array_equal(written, np.round(alpha, 9)):
+        written = Room.from_file(out).alpha
+    if not np.array_equal(np.round(written, 9), np.round(alpha, 9)):
         anew = "`rtcal loop start`"
         if loop.steps:
             anew = "`rtcal loop back`, and then `rtcal loop next` with the table before,"
@@ -1426,8 +1304,7 @@ def record(
     except DataError as error:
         raise DataError(f"{table}: {error}") from error
     if not again:
-        step = after.steps[-1] if after.after is None else after.ends[1]
-        refuse_doubtful(loop, step, table)
+        refuse_doubtful(loop, after.steps[-1] if after.after is None else after.ends[1], table)
     return after
 
 
@@ -1437,30 +1314,30 @@ def write(loop: Loop, state: str, out: str) -> str:
     ``state`` is the name of the loop's file, ``out`` that of the room's. Both files are written, or
     none.
     """
-    room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
     n, of = loop.simulations, f"of the loop in {Path(state).name!r}"
-    note = f"# To simulate: run {n + 1} {of}.\n"
-    end = (
-        f"Next: simulate with the coefficients in {out}, then give the result to `rtcal loop next`."
-    )
     if n and loop.finished:
-        note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
-        left = len([s for s in loop.status if s not in (*_LEFT_ALONE, "not confirmed")])
-        missed = f", but {left} of {loop.prior.n_bands} bands were not reached" if left else ""
+        note = f"Calibrated for the program simulated: the end {of}, after {n} runs."
+        off = [s not in (*STATUSES[:4], "not confirmed") for s in loop.status]
+        missed = f", but {sum(off)} of {len(off)} bands were not reached" if any(off) else ""
         end = (
             f"Done{missed}. {out} has the coefficients of each band's nearest run. Next: simulate them "
             "together, then give the result to `rtcal loop next`, which checks it."
         )
         if loop.after is not None:
-            off = [s == "not confirmed" for s in loop.status]
             end = f"Done{missed}. {out} has the calibrated coefficients, which were simulated together."
-            if any(off):
-                where = ", ".join(labels(loop.prior.centre_frequencies[off]))
-                end += (
-                    f" Not confirmed at {where}: simulate with less noise (more paths) after "
-                    "`rtcal loop back`."
-                )
-    content = note + room.to_text(Path(out).parent)
+        denied = [s == "not confirmed" for s in loop.status]
+        if any(denied):
+            where = ", ".join(labels(loop.prior.centre_frequencies[denied]))
+            end += (
+                f" Not confirmed at {where}: simulate with less noise (more paths) after "
+                "`rtcal loop back`."
+            )
+    else:
+        note = f"To simulate: run {n + 1} {of}."
+        end = f"Next: simulate with the coefficients in {out}, then give the result to "
+        end += "`rtcal loop next`."
+    room = loop.prior.replace(alpha=loop.next_alpha, calibration=None)
+    content = f"# {note}\n{room.to_text(Path(out).parent)}"
     write_all({out: content.encode(), state: loop.to_json(Path(state).parent).encode()})
     return end
 
