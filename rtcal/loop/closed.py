@@ -21,7 +21,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -42,7 +42,7 @@ from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import json_numbers, write_all
-from rtcal.files.saved import NOT_SAVED, Result, load
+from rtcal.files.saved import Result, load
 from rtcal.loop.measured_pairs import (
     SHOWN,
     Gaps,
@@ -318,9 +318,6 @@ class Loop(Result):
     numbers, and if no band converged."""
     notes: tuple[str, ...] = ()
     """Notes on data and simulations, such as paths that left through gaps of the mesh."""
-    _problems: list[CalibrationProblem[CalibrationResult]] = field(
-        default_factory=list, metadata=NOT_SAVED
-    )
 
     def __post_init__(self) -> None:
         checks.choice("rule", self.rule, RULES)
@@ -341,10 +338,8 @@ class Loop(Result):
         If no coefficients from 0 to 1 give the target, those with the nearest possible T are returned.
         Volume, areas and climate count as exact, so that a target changes only the coefficients.
         """
-        if not self._problems:
-            room = self.prior.as_exact
-            self._problems.append(preset(self.method, room).build(room, self.equation))
-        return self._problems[0].solve(target, unreachable="nearest", method=self.method)
+        problem = _exact_problem(self.method, self.prior, self.equation)
+        return problem.solve(target, unreachable="nearest", method=self.method)
 
     # The steps, and each band's best one
 
@@ -604,7 +599,7 @@ class Loop(Result):
         return of_unit(step.simulated, self._expected(step, last), "simulated T", of)
 
     def _follows(self, step: Step, last: Step) -> bool:
-        """Return whether ln T changed as the equation's does, by at least a tenth, in all bands together.
+        """Return whether ln T changed by at least a tenth of the equation's change, over all bands.
 
         True if the equation's T changes by less than one JND. In halls with concentrated absorption,
         the simulated T changes by about half as much as the equation's.
@@ -913,6 +908,14 @@ _OF_ROOM = (
     *("speed_of_sound", "air_attenuation", "alpha", "sigma"),
 )
 """Numbers of a room that stay the same in a loop."""
+
+
+@lru_cache(8)
+def _exact_problem(
+    method: str, room: Room, equation: LinearEquation
+) -> CalibrationProblem[CalibrationResult]:
+    """Return the compiled calibration of a room whose volume, areas and climate count as exact."""
+    return preset(method, room.as_exact).build(room.as_exact, equation)
 
 
 def _simulations(loop: Loop) -> str:
