@@ -115,10 +115,13 @@ def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
 
 
 def test_small_unexplained_errors_are_found():
+    """Each parameter has its own; what all values have in common is no part of it."""
     rng, of = np.random.default_rng(2), np.repeat([0, 1], 90)
+    unit = np.array([0.05, 1.0])[of]
     common = rng.standard_normal((180, 10))
-    expected = common @ common.T + np.diag(np.full(180, 0.2**2))
+    expected = np.outer(unit, unit) * (common @ common.T + np.diag(np.full(180, 0.2**2)))
+    own = np.array([0.3, 0.6])[of] * unit
     # By Cholesky's factor: the singular vectors, numpy's default, differ from processor to processor.
-    root = np.linalg.cholesky(expected + np.diag(np.full(180, 0.3**2)))
-    found = unexplained_errors(root @ rng.standard_normal(180), expected, np.ones(180), of)
-    assert found == pytest.approx([0.3, 0.3], rel=0.4)  # 90 values know it to 15 %
+    root = np.linalg.cholesky(expected + np.diag(own**2))
+    found = unexplained_errors(root @ rng.standard_normal(180), expected, unit, of)
+    assert found == pytest.approx([0.3, 0.6], rel=0.4)  # 90 values know it to 15 %

@@ -10,6 +10,7 @@ from rtcal.acoustics.marks import rms
 from rtcal.loop.measured_pairs import ControlRuns
 from rtcal.loop.positions import precise
 from rtcal.simulators import External, ImageSource, PathTracing, ScatteringDelayNetwork
+from rtcal.simulators.base import observe
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from tests.conftest import also, measurement_of
 
@@ -156,6 +157,7 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
     result = fit(name, room, data, fit_scattering=False)
     before, after = rms(result.gap_before), rms(result.gap_after)
     assert after <= before + 1e-9
+    assert result.scattering is None
     each = [rms(gap, axis=(1, 2)) for gap in (result.gap_before, result.gap_after)]
     assert (each[1] <= np.maximum(each[0], 0.5) + 1e-9).all()  # none is given up for the others
     start = objective(result, result.matched.before, room.alpha)
@@ -232,3 +234,51 @@ def test_bands_that_depend_on_each_other_end_no_farther_than_a_step():
     start = rms(rt.acoustics.marks.gap_jnd(run(room.alpha, 0), wanted))
     end = rms(rt.acoustics.marks.gap_jnd(run(result.alpha, 0), wanted))
     assert end <= start + 1e-9
+
+
+@pytest.mark.parametrize(("name", "factor"), [("program", 2.0), *also(("paths", 1 / 3))])
+def test_a_t_that_the_prior_cannot_explain_is_not_bent_into_scattering(name, factor):
+    room, truth = stated(PRIORS["tight"]), np.clip(factor * ALPHA, 0.02, 0.9)
+    data = measured(name, truth)
+    result = fit(name, room, data)
+    beyond = result.beyond
+    assert beyond.bands == beyond.of_bands == 2
+    assert np.sign(beyond.z) == np.sign(factor - 1)
+    mean = room.areas @ truth[:, BANDS.index(beyond.frequency)] / room.total_area
+    assert beyond.needed == pytest.approx(mean, rel=0.35)  # by Sabine's law
+    assert result.scattering is None
+    assert fit(name, stated(PRIORS["wide"]), data).beyond is None
+
+
+def of_common_errors():
+    """Return errors of a simulator that all pairs and bands share."""
+    common = 0.06 * np.random.default_rng(3).standard_normal((16, 1, 1, 1))
+    return ControlRuns(
+        parameters=MATCH,
+        pairs=(("S", "Q"), ("S", "R"), ("S", "P")),
+        errors=common * np.array([1.0, 1.0, 16.0])[:, np.newaxis, np.newaxis]
+        + 0.002 * np.random.default_rng(4).standard_normal((16, 3, 3, 2)),
+    )
+
+
+def test_the_errors_that_pairs_share_are_predicted_where_nothing_was_measured():
+    """Of coefficients that are known, all that the measured pairs miss is the simulator's error."""
+    data, room = measured("program", ALPHA, scale=1.2), stated(PRIORS["none"])
+    runs, first = of_common_errors(), data.pairs[:1]
+    result = fit("program", room, data, exclude=first, controls=runs)
+    assert result.pairs == tuple(data.pairs[1:])
+    assert result.predicted.pairs == tuple(data.pairs)
+    moved = result.predicted.natural("t20") / program(room).simulate(ALPHA).values["t20"]
+    assert moved[0] == pytest.approx(1.2, abs=0.05)
+
+
+def test_of_coefficients_that_are_as_likely_those_with_the_smallest_gap_are_taken():
+    """An error of the simulator that all bands share would else excuse a part of the gap."""
+    room, data = stated(PRIORS["usual"]), measured("program", 2 * ALPHA)
+    result = fit("program", room, data, controls=of_common_errors())
+    likeliest = result.steps[-1].answer.alpha
+    heard = observe(program(room), likeliest, MATCH)
+    assert rms(result.gap_after) < 0.9 * rms(result.measured.gap(heard.values))
+    least = objective(result, heard, likeliest)
+    assert least - 0.01 < objective(result, result.matched.after, result.alpha) < least + 0.5
+    np.testing.assert_array_equal(result.room.sigma, result.sigma)

@@ -27,22 +27,28 @@ def draw(seed, n=9, shift=0.01):
     return terms.Observed(matrix=matrix, values=values, covariance=covariance)
 
 
-def least_squares(numbers, precision):
-    inverse = np.linalg.inv(numbers.covariance)
-    information = numbers.matrix.T @ inverse @ numbers.matrix
-    pull = numbers.matrix.T @ inverse @ numbers.values
-    return np.linalg.solve(information + precision, pull + precision @ ROOM.alpha.ravel())
-
-
 @pytest.mark.parametrize("n", [2, 6, 40])
-def test_without_an_active_bound_it_is_generalised_least_squares(n):
-    numbers = draw(n, n)
-    problem = rt.Calibration(terms.PriorDeviation() + TERM, []).build(ROOM)
+@pytest.mark.parametrize(
+    ("r", "weight", "shared"), [(0.0, 1.0, ()), (0.6, 0.5, ()), (0.0, 1.0, ("floor", "ceiling"))]
+)
+def test_without_an_active_bound_it_is_generalised_least_squares(n, r, weight, shared):
+    numbers, rows, room = draw(n, n), [0, 1, 2], ROOM
+    matrix = numbers.matrix.reshape(n, 3, 2)
+    if shared:  # their columns add up
+        room, rows = ROOM.replace(alpha=ROOM.alpha[[0, 0, 2]], sigma=ROOM.sigma[[0, 0, 2]]), [0, 2]
+        matrix = np.stack([matrix[:, 0] + matrix[:, 1], matrix[:, 2]], axis=1)
+    objective = terms.PriorDeviation(band_correlation=r) + weight * TERM
+    problem = rt.Calibration(objective, [terms.Shared(*shared)] if shared else []).build(room)
     result = problem.solve(None, observed={TERM: numbers})
-    precision = np.diag(1 / ROOM.sigma.ravel() ** 2)
-    expected = least_squares(numbers, precision)
+    matrix, mu, sigma = matrix.reshape(n, -1), room.alpha[rows].ravel(), room.sigma[rows].ravel()
+    prior = np.kron(np.eye(len(rows)), [[1, r], [r, 1]]) * np.outer(sigma, sigma)
+    pull = weight * np.linalg.solve(numbers.covariance, matrix).T
+    covariance = np.linalg.inv(np.linalg.inv(prior) + pull @ matrix)
+    expected = mu + covariance @ pull @ (numbers.values - matrix @ mu)
     assert (expected > 0).all()
-    np.testing.assert_allclose(result.alpha.ravel(), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result.alpha[rows].ravel(), expected, rtol=0, atol=1e-12)
+    spread = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(result.joint.posterior_sigma[rows].ravel(), spread, rtol=1e-9)
     assert result.certificate.worst < 1e-9
 
 

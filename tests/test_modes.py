@@ -196,6 +196,16 @@ def test_uncertainty_of_t_counts():
     np.testing.assert_array_equal(bare.alpha, sure.alpha)
 
 
+@pytest.mark.parametrize(("factor", "contradict"), [(1.0, False), (1.8, True)])
+def test_modes_that_contradict_are_marked(factor, contradict):
+    modes = heard(TRUTH)
+    off = factor ** np.where(np.arange(len(modes.decays)) % 2, 1, -1)
+    result = rt.calibrate_modes(ROOM, replace(modes, decays=off * modes.decays))
+    p_value = result.plausibility.p_value
+    assert p_value < 1e-6 if contradict else p_value > 0.05
+    assert ("implausible_modes" in {m.kind for m in result.trust_marks}) == contradict
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_random_frequencies_are_refused_or_doubted(seed):
     f = np.sort(np.random.default_rng(seed).uniform(30, 108, 14))

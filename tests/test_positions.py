@@ -178,3 +178,9 @@ def test_any_simulator_is_calibrated_without_an_interval():
     assert "No interval" in " ".join(str(result).split())
     assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
     np.testing.assert_array_equal(result.room.sigma, room.sigma)
+    assert result.room.calibration.method == "positions"
+    moved = (result.alpha - room.alpha) / room.sigma
+    np.testing.assert_allclose(result.pulls.sum(axis=0), moved, atol=0.2)
+    ratio = [after / before for _, before, after in result.learned]
+    assert ratio == sorted(ratio)
+    assert max(ratio) < 1.01

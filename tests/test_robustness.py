@@ -6,7 +6,7 @@ import pytest
 import rtcal as rt
 from rtcal import studies
 from rtcal.calibration.posterior import distribution
-from rtcal.support.errors import DataError, RtcalError
+from rtcal.support.errors import DataError, InfeasibleError, RtcalError
 from tests.conftest import room_of
 
 AIR = rt.Air()
@@ -32,6 +32,13 @@ def test_z_is_of_what_t_asks_not_of_the_nearest_end():
     np.testing.assert_allclose(result.plausibility.z, expected, rtol=1e-9)
     assert result.plausibility.z[0] < -10
     assert {"unreachable", "implausible"} <= {m.kind for m in result.trust_marks}
+
+
+def test_a_t_too_short_for_any_equation_is_unreachable():
+    with pytest.raises(InfeasibleError, match=r"T\[500 Hz\] = 0.001 s cannot be reached"):
+        rt.calibrate(room(air=None), [0.001, 0.7])
+    result = rt.calibrate(room(air=None), [0.001, 0.7], unreachable="nearest")
+    assert result.reverberation_time_after[0] == pytest.approx(result.unreachable[0].shortest)
 
 
 def test_areas_and_surfaces_cannot_part():

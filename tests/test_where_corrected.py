@@ -128,6 +128,7 @@ def test_a_patch_of_alpha_1_is_drawn_larger(box):
     """So that a calibration can make it absorb more as well as less."""
     made = corrected_geometry(box, candidate("east", 6.0, 1.0))
     assert made.geometry.areas[made.material] == pytest.approx(6.0 / 0.9)
+    assert made.room.dimensions is None  # simulators of boxes know one material per wall
     assert made.room.alpha[-1] == pytest.approx(np.full(2, 0.12 + 0.88 * 0.9))
     # The patch's own note of its source has both areas.
     assert {"6.67", "6"} <= set(re.findall(r"[\d.]+(?= m²)", made.room.sources[made.material]))
@@ -136,6 +137,7 @@ def test_a_patch_of_alpha_1_is_drawn_larger(box):
 def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box):
     made = corrected_geometry(box, candidate("east", 16.0))
     assert made.form == "material"
+    assert made.room.dimensions == SIZE
     assert made.notes
     assert made.room.alpha[-1] == pytest.approx([0.8, 0.8])
     assert not corrected_geometry(box, candidate("east", 6.0), "material").notes

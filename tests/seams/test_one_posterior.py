@@ -7,6 +7,7 @@ import pytest
 
 import rtcal as rt
 from benchmarks.studies.calibrations import interval_coverage
+from rtcal import terms
 from rtcal.calibration.posterior import distribution
 from tests.conftest import also, measurement_of, room_of
 
@@ -73,6 +74,17 @@ def test_the_interval_holds_its_own_value(method, seed):
     assert ((low >= 0) & (high <= 1)).all()
     other = distribution(result).interval(0.5)
     assert ((other[0] <= result.alpha) & (result.alpha <= other[1])).all()
+
+
+def test_a_constraint_that_never_binds_leaves_the_same_distribution():
+    stated = room(4)
+    t = measured(EYRING.time(stated, 1.05 * stated.absorption_area), 0.1)
+    loose = [terms.ExactMatch(), terms.GroupAbsorption(["m0"], most=10_000.0)]
+    drawn = rt.Calibration(terms.PriorDeviation(), loose).build(stated).solve(t)
+    known, exact = distribution(drawn), distribution(rt.calibrate(stated, t))
+    np.testing.assert_allclose(known.sigma, exact.sigma, rtol=0.06)
+    np.testing.assert_allclose(known.mean, exact.mean, atol=0.1 * exact.sigma.max())
+    np.testing.assert_allclose(drawn.posterior_sigma, exact.sigma, rtol=2e-3)
 
 
 @pytest.mark.long
