@@ -168,6 +168,15 @@ def test_nan_is_an_error_at_first_and_a_limit_later(cr2):
         calibrate_simulator(everywhere, room, measured)
 
 
+def test_absurd_coefficients_are_marked(cr2):
+    room, measured = cr2
+    result = calibrate_simulator(bent(room, 4, 1), room, measured)
+    assert [m.kind for m in result.trust_marks].count("implausible") == room.n_bands
+    least = room.replace(alpha_min=np.full(room.alpha.shape, 0.012))
+    result = calibrate_simulator(bent(room, 4, 1), least, measured, decimals=2)
+    assert result.alpha.min() == 0.02  # what is below the least is rounded up
+
+
 # The compromise of T20 and EDT (the paper's Sect. 4.3.2)
 
 

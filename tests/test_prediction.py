@@ -308,6 +308,25 @@ def test_an_acoustic_ceiling_is_within_the_interval(scattering, named):
 # What is known ------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("few_draws")
+def test_a_second_state_narrows_and_corrects():
+    """The panel's alpha is 0.5 in truth, not 0.85: one state cannot show it, two can."""
+    room = a_room(4)
+    stated, true = (rt.Material("panel", [a] * 3, [0.15] * 3) for a in (0.85, 0.5))
+
+    def time(*changes):
+        return rt.Eyring().reverberation_time(changed(room, changes))
+
+    cover = Change(cover="walls", by=stated, area=25)
+    states = rt.Configurations([room, changed(room, replace(cover, area=10))], ["bare", "some"])
+    after = [time(), time(replace(cover, by=true, area=10))]
+    two = rt.calibrate(states, after, method="joint").results[0].predict(cover)
+    one = rt.calibrate(room, time()).predict(cover)
+    assert (two.half_width < 0.85 * one.half_width).all()
+    off = [np.abs(np.log(p.mean / time(replace(cover, by=true)))) for p in (one, two)]
+    assert (off[1] < 0.6 * off[0]).all()
+
+
 def test_without_a_measurement_the_error_of_t_before_counts():
     room = a_room(2)
     found = calibrated(2).predict(Change(add=PANEL, area=5))

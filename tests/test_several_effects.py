@@ -276,4 +276,6 @@ def test_a_single_effect_is_a_set_of_one():
     assert found.alpha.shape == case.room.alpha.shape
     # What is left of the coefficients is little: the effect explains T.
     assert np.abs(found.alpha - ALPHA).max() < 0.05
-    assert rt.finder.plan(case, finding=found).proposals
+    after = rt.finder.plan(case, finding=found)
+    assert after.proposals
+    assert after.uncertainty < 0.5 * rt.finder.plan(case).uncertainty
