@@ -367,6 +367,8 @@ def test_a_hint_is_added_and_verified_only_where_it_is_chosen(absorber, tmp_path
     assert "--effect NAME" in said
     with pytest.raises(DataError, match="verdict"):
         hint.apply()
+    with pytest.raises(DataError, match="nothing was found that can be verified"):
+        verify(hint)
     said, _, files = of_finding.correct(hint, tmp_path, effect=name)
     assert tmp_path / "room.toml" in files
     assert "only a weak indication" in said

@@ -130,3 +130,5 @@ def test_the_command_states_how_many_pairs_a_verification_needs(tmp_path, rtcal)
     few.save(tmp_path / "changed")
     said = rtcal.refused("verify", tmp_path / "changed")
     assert "has 2 source-receiver pairs, but a verification needs at least 4" in said
+    with pytest.raises(rt.errors.DataError, match="no change was found that can be verified"):
+        rt.finder.verify(replace(few, verdict="none"))

@@ -139,6 +139,9 @@ def test_another_gain_in_one_state_is_said_first_and_the_level_left_out(states_g
         got = found(with_gain(before, dict.fromkeys(PLACES, gain)), after)
         assert got.reasons[0].code == "gains differ"
         assert got.surfaces == pytest.approx(wanted.surfaces, abs=1e-6)
+    of_one = found(before, with_gain(after, {"S2": 5.0}))  # the level of the other counts
+    assert [*of_one.reasons[0].values["gains"]] == ["S2"]
+    assert of_one.identified_surfaces == ("east",)
 
 
 @pytest.mark.long

@@ -22,7 +22,12 @@ from rtcal.finder.means import engines
 from rtcal.loop import measured_pairs
 from rtcal.loop.measured_pairs import simulated_controls
 from rtcal.support import workers
-from rtcal.support.errors import ClusterError, MissingDependencyError, TooShortError
+from rtcal.support.errors import (
+    ClusterError,
+    DataError,
+    MissingDependencyError,
+    TooShortError,
+)
 from rtcal.support.workers import workforce
 from tests.conftest import run
 from tests.test_where import measured, stated, tracing
@@ -141,6 +146,14 @@ def test_a_scheduler_without_workers_is_named(cluster, monkeypatch):
     monkeypatch.setattr(workers, "_PATIENCE", 1.0)
     with pytest.raises(ClusterError, match="has no workers after 1 s: start some with `dask"):
         studies.run(SHOEBOX, 0.05, 2, 2, scheduler=with_workers(cluster, 0))
+
+
+def test_what_a_scheduler_and_its_workers_cannot_do_is_named():
+    address = "tcp://node1:8786"
+    with pytest.raises(DataError, match=r"workers = 2 \(of this machine\) and a scheduler"):
+        studies.run(SHOEBOX, 0.05, 2, 2, scheduler=address, workers=2)
+    with pytest.raises(ClusterError, match=r"a worker has rtcal .* this machine rtcal 0\.0"):
+        workers._on_worker("0.0", abs, 1)
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.changes import Variant
 from rtcal.loop import ControlRuns, predict_positions
-from rtcal.prediction import Change
+from rtcal.prediction import Change, changed
 from rtcal.prediction.words import SIZES
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
@@ -126,3 +126,17 @@ def test_what_can_be_checked_is_refused_before_anything_is_simulated(small):
     after = rt.Measurement.from_values(a_room().centre_frequencies, t20=[1.0, 1.0])
     with pytest.raises(DataError, match=r"variants\[0\] has simulated"):
         predict_positions(small, [Variant("run", (), simulated=after)], progress=told)
+
+
+def test_before_is_what_was_measured_and_the_change_is_the_equations(small):
+    variants = [HALF, Variant("nothing", ())]
+    half, nothing = predict_positions(small, variants, wanted=("t20",)).predictions
+    measured = small.measured.observations.natural("t20").mean(axis=0)
+    assert nothing.mean("t20") == pytest.approx(measured, rel=0.02)
+    assert nothing.change("t20") == pytest.approx(np.zeros((5, 2)), abs=1e-9)
+    assert half.before_change("t20") == pytest.approx(nothing.at_pairs("t20"))
+    times = [
+        rt.Eyring().reverberation_time(of) for of in (changed(small.room, HALF.changes), small.room)
+    ]
+    ratio = half.mean("t20") / nothing.mean("t20")
+    assert ratio == pytest.approx(times[0] / times[1], rel=0.05)

@@ -140,7 +140,8 @@ def test_an_option_without_effect_is_refused():
     for options in ({"without": ["volume"]}, {"without": ["coefficients"]}, {"only": ["formula"]}):
         with pytest.raises(rt.errors.DataError, match=r"which is not an effect"):
             rt.find(stated, after, before=before, **options)
-    for name, value in {"cache": "folder", "progress": print, "prior": {}, "most": 2}.items():
+    unused = {"cache": "folder", "progress": print, "prior": {}, "most": 2, "scheduler": "x"}
+    for name, value in unused.items():
         with pytest.raises(rt.errors.DataError, match=f"{name} cannot be used in a search"):
             rt.find(stated, after, before=before, **{name: value})
     volume = [e for e in rt.finder.library() if e.name == "volume"]
