@@ -32,7 +32,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
-from itertools import combinations, compress, product
+from itertools import combinations, compress, pairwise, product
 from operator import add
 from typing import Any, NamedTuple
 
@@ -804,10 +804,11 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
         )
     for hole in holes:
         at, u = [f"at {mend.place(hole.loop[0])}, {hole.beside}"], hole.area**1.5 / 4
-        mend.found("hole", at, hole.area, surface=hole.area, uncertainty=u, unsure=hole.unsure)
+        unsure = hole.unsure.items()
+        mend.found("hole", at, hole.area, surface=hole.area, uncertainty=u, unsure=unsure)
         if len(hole.lids) == 1 and _is_bent(part, hole.loop):
             mend.bent_rim = mend.place(hole.loop[0])
-        apex = mend.new_points(hole.lids[0].apex)
+        apex = mend.new_points(hole.apex)
         part.faces += [Face(lid.corners + apex, lid.material, "closed hole") for lid in hole.lids]
     return flattened(part) if holes else part
 
@@ -818,19 +819,19 @@ def _is_bent(part: FaceSet, rim: list[int]) -> bool:
 
 
 class _Lid(NamedTuple):
-    """A face that closes a hole: corners at its rim, and the room's corner in it, (0 or 1, 3) in m."""
+    """A face that closes a hole: corners at its rim, material and area in m²."""
 
     corners: list[int]
-    apex: Array
     material: str
     area: float
 
 
 class _Hole(NamedTuple):
-    """A hole: the corners of its rim, and the faces that close it."""
+    """A hole: its rim, the faces that close it, and a corner that they share, (0 or 1, 3) in m."""
 
     loop: list[int]
     lids: list[_Lid]
+    apex: Array
 
     @property
     def area(self) -> float:
@@ -843,74 +844,75 @@ class _Hole(NamedTuple):
         return " and ".join(dict.fromkeys(lid.material for lid in self.lids))
 
     @property
-    def unsure(self) -> list[tuple[str, float]]:
+    def unsure(self) -> dict[str, float]:
         """Standard uncertainty in m² by material: any share of the hole, one for all, is of it."""
-        areas = Counter[str]()
+        areas = dict.fromkeys((lid.material for lid in self.lids), 0.0)
         for lid in self.lids:
-            areas[lid.material] += lid.area  # type: ignore[assignment]
-        return [(material, float(ANY_SHARE * area)) for material, area in areas.items()]
+            areas[lid.material] += float(ANY_SHARE * lid.area)
+        return areas
+
+
+_MOST_FOLDS = 24
+"""Largest number of corners in two planes of which two or three are sought that divide a rim."""
 
 
 def _holes(part: FaceSet) -> list[_Hole] | None:
     """Return the holes of a shell; None if its open edges bound none."""
     missing = part.open_edges()
     loops = loops_of(missing)
-    return None if loops is None else [_Hole(p, _lids(part, missing, p)) for p in loops]
+    return None if loops is None else [_hole(part, missing, loop) for loop in loops]
 
 
-_MOST_RIM_PLANES = 8
-"""Largest number of planes at a hole's rim of which two or three are sought that hold all of it."""
+def _hole(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> _Hole:
+    """Return a hole with the faces that close it.
 
-
-def _lids(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> list[_Lid]:
-    """Return the faces that close a hole.
-
-    A rim on two planes of its neighbours has a face in each, and one on three has three, which meet in
+    A rim in two planes of its neighbours has a face in each, and one in three has three, which meet in
     the corner of these planes. Any other rim, such as a plane one, has one face.
     """
-    points, none = part.mend.points, np.zeros((0, 3))
+    points, n, none = part.mend.points, len(loop), np.zeros((0, 3))
     rim, tolerance = points[loop], max(part.mend.weld, PLANARITY)
-    plain = [_Lid(loop, none, _beside(part, missing, edges_of(loop)), area_of(rim))]
+
+    def closed(runs: Sequence[Sequence[int]], apex: Array) -> _Hole:
+        lids = []
+        for run in runs:
+            corners = [loop[i % n] for i in run]
+            edge = max(
+                (e for e in edges_of(corners) if e in missing), key=lambda e: extent_of(points[[*e]])
+            )
+            area = area_of(np.concatenate([points[corners], apex]))
+            lids.append(_Lid(corners, part.faces[missing[edge]].material, area))
+        return _Hole(loop, lids, apex)
+
+    def size(hole: _Hole) -> tuple[float, float]:
+        # Of corners on both planes, those nearest to each other: else a side runs back.
+        sides = (extent_of(points[[lid.corners[0], lid.corners[-1]]]) for lid in hole.lids)
+        return round(hole.area, 6), sum(sides)
+
+    whole = closed([range(n)], none)
     if not _is_bent(part, loop):
-        return plain
+        return whole
     planes = list[Polygon]()
     for face in dict.fromkeys(missing[edge] for edge in edges_of(loop)):
         plane = Polygon(points[part.faces[face].corners])
-        if not any(
-            abs(plane.normal @ p.normal) > _FACING and p.thickness(plane.corners) <= tolerance
+        if all(
+            abs(plane.normal @ p.normal) <= _FACING or p.thickness(plane.corners) > tolerance
             for p in planes
         ):
             planes.append(plane)
-    if len(planes) > _MOST_RIM_PLANES:
-        return plain
-    on: list[NDArray[np.bool_]] = [np.abs(plane.away(rim)) <= tolerance for plane in planes]
-    found = list[tuple[float, float, list[_Lid]]]()
-    for number in (2, 3):
-        for chosen in combinations(range(len(planes)), number):
-            if not np.any([on[k] for k in chosen], axis=0).all():
-                continue
-            apex = none if number == 2 else _apex(rim, [planes[k] for k in chosen], tolerance)
-            if number == 3 and not len(apex):
-                continue
-            for order in (chosen, chosen[::-1])[: number - 1]:
-                for runs in _runs([on[k] for k in order]):
-                    lids = [
-                        _Lid(
-                            corners := [loop[i] for i in run],
-                            apex,
-                            _beside(part, missing, edges_of(corners)[1:]),
-                            area_of(np.concatenate([points[corners], apex])),
-                        )
-                        for run in runs
-                    ]
-                    # Of corners on both planes, those nearest to each other: else a side runs back.
-                    length = sum(extent_of(points[[r.corners[0], r.corners[-1]]]) for r in lids)
-                    if min(lid.area for lid in lids) > SAME:
-                        total = round(sum(lid.area for lid in lids), 6)
-                        found.append((total, length, lids))
-        if found:
-            return min(found, key=lambda each: each[:2])[2]
-    return plain
+    on = np.array([np.abs(plane.away(rim)) <= tolerance for plane in planes])
+    folds = np.flatnonzero(on.sum(axis=0) > 1).tolist()
+    for number in (2, 3) if len(folds) <= _MOST_FOLDS else ():
+        found = list[_Hole]()
+        for cuts in combinations(folds, number):
+            runs = [range(a, b + 1) for a, b in pairwise([*cuts, cuts[0] + n])]
+            holds = [np.flatnonzero(on[:, np.array(run) % n].all(axis=1)).tolist() for run in runs]
+            for chosen in product(*holds):
+                apex = _apex(rim, [planes[k] for k in chosen], tolerance) if number == 3 else none
+                if len({*chosen}) == number and len(apex) == number - 2:
+                    found.append(closed(runs, apex))
+        if found := [hole for hole in found if min(lid.area for lid in hole.lids) > SAME]:
+            return min(found, key=size)
+    return whole
 
 
 def _apex(rim: Array, planes: Sequence[Polygon], tolerance: float) -> Array:
@@ -921,21 +923,7 @@ def _apex(rim: Array, planes: Sequence[Polygon], tolerance: float) -> Array:
     apex = near - np.linalg.solve(normals, [float(plane.away(near)) for plane in planes])
     away = np.linalg.norm(rim - apex, axis=1)
     is_near = tolerance < away.min() and away.max() <= 2 * extent_of(rim)
-    return np.array([apex] * bool(is_near)).reshape(-1, 3)
-
-
-def _runs(on: Sequence[NDArray[np.bool_]]) -> list[list[list[int]]]:
-    """Return all divisions of a rim into runs, one on each plane, whose corners ``on`` marks."""
-    n, found = len(on[0]), list[list[list[int]]]()
-    starts = [np.flatnonzero(on[k - 1] & on[k]).tolist() for k in range(len(on))]
-    for chosen in product(*starts):
-        lengths = [(chosen[(k + 1) % len(on)] - chosen[k]) % n for k in range(len(on))]
-        if sum(lengths) != n:
-            continue
-        runs = [[(a + i) % n for i in range(m + 1)] for a, m in zip(chosen, lengths, strict=True)]
-        if all(m and bool(on[k][runs[k]].all()) for k, m in enumerate(lengths)):
-            found.append(runs)
-    return found
+    return apex[np.newaxis] if is_near else np.zeros((0, 3))
 
 
 def _note_others(shell: FaceSet, others: Sequence[FaceSet]) -> None:
@@ -1018,15 +1006,8 @@ def _left_open(shell: FaceSet) -> list[Defect]:
     found = list[Defect]()
     for h in holes:
         at, done = (f"at {shell.mend.place(h.loop[0])}, {h.beside}",), "left as drawn and not in S"
-        found.append(Defect("open hole", 1, h.area, 0.0, 0.0, 0.0, at, done, dict(h.unsure)))
+        found.append(Defect("open hole", 1, h.area, 0.0, 0.0, 0.0, at, done, h.unsure))
     return [reduce(add, found)] if found else []
-
-
-def _beside(part: FaceSet, missing: Mapping[Edge, int], edges: Iterable[Edge]) -> str:
-    """Return the material beside the longest of some edges of a hole."""
-    points = part.mend.points
-    edge = max(edges, key=lambda edge: extent_of(points[[*edge]]))
-    return part.faces[missing[edge]].material
 
 
 _LINES = 64  # Lines along each side of the picture, 4096 in each direction
