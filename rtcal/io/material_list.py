@@ -21,6 +21,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -95,9 +96,7 @@ class ListedMaterial:
         material.
         """
         alpha, spans = coefficients(row, place, unit)
-        scattering, of_scattering = None, tuple[Span, ...]()
-        if scatters is not None:
-            scattering, of_scattering = coefficients(scatters, place, unit, "scattering")
+        of_scattering = coefficients(scatters or (), place, unit, "scattering")
         return cls(
             name=name,
             line=line,
@@ -105,8 +104,8 @@ class ListedMaterial:
             centre_frequencies=tuple(centre_frequencies),
             spans=spans,
             unit=unit,
-            scattering=scattering,
-            scattering_spans=of_scattering,
+            scattering=None if scatters is None else of_scattering[0],
+            scattering_spans=of_scattering[1],
             **more,
         )
 
@@ -204,13 +203,10 @@ class MaterialList:
         materials have. ``others`` are materials from another source, by name. ``air`` is the room's
         air; None for air that absorbs nothing.
         """
-        surfaces = (
-            [Surface(n, n, a) for n, a in areas.items()]
-            if isinstance(areas, Mapping)
-            else list(areas)
-        )
+        if isinstance(areas, Mapping):
+            areas = [Surface(n, n, area) for n, area in areas.items()]
         others = others or {}
-        used = {s.material: others.get(s.material) or self.listed(s.material) for s in surfaces}
+        used = {s.material: others.get(s.material) or self.listed(s.material) for s in areas}
         if doubts := [m.doubt for m in used.values() if m.doubt]:
             raise DataError(doubts[0])
         if not used:
@@ -218,18 +214,17 @@ class MaterialList:
                 f"{self.path}: no areas are given; a room needs the area of at least one material"
             )
         if centre_frequencies is None:
-            common = set.intersection(*(set(m.centre_frequencies) for m in used.values()))
-            if not common:
+            centre_frequencies = _common_bands(used.values())
+            if not centre_frequencies:
                 raise DataError(f"{self.path}: no band is common to all materials of the room")
-            centre_frequencies = sorted(common)
         wanted = bands.as_bands(centre_frequencies)
         all_scatter = all(m.scattering is not None or scattering is not None for m in used.values())
         materials = []
-        for material_name, listed in used.items():
-            place = f'material "{material_name}"'
+        for of, listed in used.items():
+            place = f'material "{of}"'
             alpha = listed.in_bands(listed.alpha, wanted, place)
             spread = (sigma_rule or SigmaRule()).sigma(alpha, wanted)
-            stated = (sigma or {}).get(material_name, listed.sigma)
+            stated = (sigma or {}).get(of, listed.sigma)
             if isinstance(stated, ListedMaterial):
                 spread = stated.in_bands(stated.alpha, wanted, f"sigma of {place}")
             elif stated is not None:
@@ -239,13 +234,11 @@ class MaterialList:
                 rows = listed.scattering or (scattering,) * len(listed.centre_frequencies)
                 scatters = listed.in_bands(rows, wanted, place).tolist()  # type: ignore[arg-type]
             source = listed.source or self.path
-            materials.append(
-                Material(material_name, alpha.tolist(), spread.tolist(), 0.0, scatters, source)
-            )
+            materials.append(Material(of, alpha.tolist(), spread.tolist(), 0.0, scatters, source))
         return Room.from_surfaces(
             name=name,
             volume=volume,
-            surfaces=surfaces,
+            surfaces=list(areas),
             materials=materials,
             centre_frequencies=wanted,
             air=air,
@@ -315,8 +308,8 @@ class MaterialList:
         room's third-octaves, and third-octaves the value of their octave. A number is replaced only if
         the coefficient, rounded to the file's decimals, differs from it.
         """
-        common = set.intersection(*(set(self.listed(n).centre_frequencies) for n in room.materials))
-        room = self._in_file_bands(room, sorted(common))
+        common = _common_bands(map(self.listed, room.materials))
+        room = self._in_file_bands(room, common)
         asked: dict[Span, tuple[float | str, str]] = {}
         written: dict[Span, str] = {}
 
@@ -331,58 +324,62 @@ class MaterialList:
             if characters is not None:
                 written[span] = characters
 
-        tables = {"alpha": np.array(room.alpha)}
-        if room.scattering is not None:
-            tables["scattering"] = np.array(room.scattering)
-        lacking = []
+        stated = {"alpha": room.alpha, "scattering": room.scattering}
+        tables = {name: np.array(table) for name, table in stated.items() if table is not None}
+        lacking = list[str]()
         for i, name in enumerate(room.materials):
             material = self.listed(name)
-            frequencies = np.asarray(room.centre_frequencies)
-            columns = [bands.index(frequencies, f) for f in material.centre_frequencies]
-            in_room = [k for k in columns if k is not None]
-            if not in_room:
+            columns = [bands.index(room.centre_frequencies, f) for f in material.centre_frequencies]
+            if not any(k is not None for k in columns):
                 raise DataError(
                     f'{self.path}, line {material.line}: "{material.name}" has none of the '
                     "room's bands"
                 )
-            in_file = {"alpha": (material.spans, material.alpha)}
-            at = material.scattering_place
-            if material.scattering is not None and material.scattering_spans:
-                in_file["scattering"] = material.scattering_spans, material.scattering
-            elif "scattering" in tables and at is not None and len(in_room) == len(columns):
-                row = tables["scattering"][i]
-                rounded = [material.rounded(float(row[k])) for k in in_room]
-                inserted = self.scattering_text([characters for characters, _ in rounded])
-                put((at, at), inserted, f'{self.path}: scattering["{name}"]', inserted)
-                row[in_room] = [value for _, value in rounded]
-            elif "scattering" in tables:
-                lacking.append(name)
-            for quantity in [q for q in tables if q in in_file]:
-                spans, stated = in_file[quantity]
-                for k, span, before in zip(columns, spans, stated, strict=True):
+            for quantity, table in tables.items():
+                spans, values, at = material.spans, material.alpha, material.scattering_place
+                if quantity == "scattering":
+                    spans, values = material.scattering_spans, material.scattering or ()
+                if not spans:
+                    if at is None or None in columns:
+                        lacking.append(name)
+                        continue
+                    rounded = [material.rounded(float(table[i, k])) for k in columns]
+                    inserted = self.scattering_text([characters for characters, _ in rounded])
+                    put((at, at), inserted, f'{self.path}: scattering["{name}"]', inserted)
+                    table[i, columns] = [value for _, value in rounded]
+                for k, span, before in zip(columns, spans, values, strict=bool(spans)):
                     if k is None:
                         continue
-                    value = float(tables[quantity][i, k])
-                    characters, as_read = material.rounded(value)
+                    characters, as_read = material.rounded(value := float(table[i, k]))
                     same = before in (value, as_read)
                     place = f"{self.path}: {room.place(quantity, i, k)}"
                     put(span, value, place, None if same else characters)
-                    tables[quantity][i, k] = before if same else as_read
+                    table[i, k] = before if same else as_read
         scattering = None if lacking else tables.get("scattering")
-        room_as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
+        as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
         shared = [f for f in room.centre_frequencies if f in common]
         if not shared:
             raise DataError(
                 f"{self.path}: no band of the room is common to all materials of the list"
             )
         if len(shared) < room.n_bands:
-            room_as_read = room_as_read.in_bands(shared)
-        pieces, position = [], 0
-        for (start, end), characters in sorted(written.items()):
-            pieces += [self.text.characters[position:start], characters]
-            position = end
-        changed = "".join([*pieces, self.text.characters[position:]])
-        return self.text.encode(changed), room_as_read, tuple(lacking)
+            as_read = as_read.in_bands(shared)
+        changed = _edited(self.text.characters, written)
+        return self.text.encode(changed), as_read, tuple(lacking)
+
+
+def _common_bands(materials: Iterable[ListedMaterial]) -> list[float]:
+    """Return the bands in Hz that all materials have."""
+    return sorted(set.intersection(*(set(m.centre_frequencies) for m in materials)))
+
+
+def _edited(text: str, changes: Mapping[Span, str]) -> str:
+    """Return a text with other characters at some positions."""
+    pieces, position = list[str](), 0
+    for (start, end), characters in sorted(changes.items()):
+        pieces += [text[position:start], characters]
+        position = end
+    return "".join([*pieces, text[position:]])
 
 
 def coefficient(value: float, unit: float) -> float:
@@ -770,9 +767,12 @@ _DECIMALS = {"catt": 1, "odeon": 5, "bras": 3}
 _NAME = r"[^\s=<>{};:]+"
 _STATEMENT = re.compile(rf"[ \t]*(?:(ABS1?)[ \t]+)?({_NAME})[ \t]*=[ \t]*(.*)", re.I | re.S)
 _NO_STATEMENT = re.compile(r"[ \t]*ABS1?(?![^\s=<>])", re.I)
-_LIST = re.compile(r"<([^<>]*)>[ \t]*")
-_SCATTERING = re.compile(r"L[ \t]*", re.I)
-_COLOUR = re.compile(r"\{[ \t]*\d{1,3}[ \t]+\d{1,3}[ \t]+\d{1,3}[ \t]*\}[ \t]*", re.ASCII)
+_VALUES = re.compile(
+    r"<([^<>]*)>[ \t]*(?:L[ \t]*<([^<>]*)>[ \t]*)?(?:\{(?:[ \t]*\d{1,3}\b){3}[ \t]*\}[ \t]*)?",
+    re.I | re.ASCII,
+)
+_COUNTS = ([6], [7], [8], [6, 0], [6, 1], [6, 2])
+"""Numbers of values before and after the colon, which stands before the octaves of 8 and 16 kHz."""
 _OF_ROOM = re.compile(r'[ \t]*rtcal:[ \t]*("(?:[^"\\]|\\u[0-9a-f]{4}|\\["\\])+")[ \t]*', re.ASCII)
 """Comment of a statement whose material has a name in the room that CATT does not read, as JSON."""
 
@@ -838,67 +838,57 @@ def _statements(characters: str, path: str) -> Iterator[tuple[int, int, re.Match
 def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> ListedMaterial:
     """Return the material of a statement of a line that begins at position ``start``."""
     keyword, name, value = match.groups()
-    offset, in_percent = start + match.start(3), (keyword or "ABS").upper() == "ABS"
-    unit = 0.01 if in_percent else 1.0
-    of_alpha = _LIST.match(value)
-    if not of_alpha:
-        raise DataError(f'{place}: "{shown(value)}" has no closing >')
-    row = _list_of_octaves(of_alpha, offset, place)
-    end, second = of_alpha.end(), None
-    if letter := _SCATTERING.match(value, end):
-        of_scattering = _LIST.match(value, letter.end())
-        if not of_scattering:
-            raise DataError(f"{place}: L, the scattering, must be followed by <6 to 8 values>")
-        end = of_scattering.end()
-        second = _list_of_octaves(of_scattering, offset, place, " of L, the scattering")
-        if len(second) != len(row):
-            raise DataError(
-                f"{place}: {len(row)} absorption values, but {len(second)} scattering "
-                "values; give the same number of both"
-            )
-    material = ListedMaterial.of(
-        name,
-        line,
-        place,
-        _OF_CATT[: len(row)],
-        row,
-        second,
-        unit,
-        decimals=_DECIMALS["catt"] + (0 if in_percent else 2),
-        scattering_place=offset + of_alpha.end(1) + 1,
-    )
-    if value[end:] and not _COLOUR.fullmatch(value, end):
+    in_percent = (keyword or "ABS").upper() == "ABS"
+    found = _VALUES.fullmatch(value)
+    if not found:
         raise DataError(
-            f'{place}: "{shown(value[end:])}" after the values is not a colour {{r g b}}'
+            f'{place}: "{shown(value)}" must be <6 to 8 values>; L <as many values>, the scattering, '
+            "and a colour {r g b} may follow"
         )
-    percents = numbers(row, place)
+    offset = start + match.start(3)
+    rows = [
+        _of_octaves(of, offset + found.start(k), place)
+        for k, of in enumerate(found.groups(), 1)
+        if of is not None
+    ]
+    if len({*map(len, rows)}) > 1:
+        raise DataError(
+            f"{place}: {len(rows[0])} values of absorption, but {len(rows[1])} of scattering; give "
+            "the same number of both"
+        )
+    percents = numbers(rows[0], place)
     at_most_one = in_percent and 0 < max(percents) <= 1
-    doubt = ""
+    doubt, note = "", f"{place}: at most 1 %, since ABS is in percent"
     if at_most_one and any(percent != int(percent) for percent in percents):
-        written, start_of_it = shown(of_alpha[1], 80), f"ABS1 {shown(name)} ="
+        written, start_of_it = shown(found[1], 80), f"ABS1 {shown(name)} ="
         fractions = " ".join(f"{percent / 100:g}" for percent in percents)
         doubt = (
             f'{place}: "{shown(name)} = <{written}>" is at most 1 %, since ABS is in percent; write '
             f'"{start_of_it} <{written}>" if the values are fractions, or '
             f'"{start_of_it} <{fractions}>" if they are percents'
         )
-    source = f"{place}: at most 1 %, since ABS is in percent" if at_most_one else ""
-    return replace(material, source=source, doubt=doubt)
+    return ListedMaterial.of(
+        name,
+        line,
+        place,
+        _OF_CATT[: len(percents)],
+        *rows,
+        unit=0.01 if in_percent else 1.0,
+        decimals=_DECIMALS["catt"] + (0 if in_percent else 2),
+        scattering_place=offset + found.end(1) + 1,
+        source=note if at_most_one else "",
+        doubt=doubt,
+    )
 
 
-def _list_of_octaves(match: re.Match[str], offset: int, place: str, which: str = "") -> list[Token]:
-    """Return the tokens of a list of 6 to 8 numbers in a text that begins at ``offset``."""
-    row = tokens(r"[^\s:]+|:", match[1], offset + match.start(1))
-    if wrong := [i for i, token in enumerate(row) if token[0] == ":" and i != 6]:
-        raise DataError(
-            f"{place}: the colon is after {wrong[0]} values; it must be after 6, between the "
-            "octaves up to 4 kHz and those of 8 and 16 kHz"
-        )
-    row = [token for token in row if token[0] != ":"]
+def _of_octaves(characters: str, start: int, place: str) -> list[Token]:
+    """Return the numbers of a list in a text, which begins at position ``start``."""
+    row = tokens(r"[^\s:]+", characters, start)
     numbers(row, place)
-    if not 6 <= len(row) <= 8:
+    if [len(part.split()) for part in characters.split(":")] not in _COUNTS:
         raise DataError(
-            f"{place}: {len(row)} values{which}, but 6 to 8 are needed, for the octaves from 125 Hz"
+            f"{place}: {len(row)} values, but 6 to 8 are needed, for the octaves from 125 Hz, and a "
+            "colon only after the sixth"
         )
     return row
 
@@ -908,29 +898,19 @@ def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
     aliases = {n: t for n, t in listed.aliases.items() if n in room.materials}
     tables = [room.alpha] if room.scattering is None else [room.alpha, room.scattering]
     rows = {n: np.hstack([t[i] for t in tables]) for i, n in enumerate(room.materials)}
-    own = {
-        n
-        for n, target in aliases.items()
-        for other, row in rows.items()
-        if target in (other, aliases.get(other)) and (row != rows[n]).any()
-    }
-    if not own:
-        return listed
-    characters, pieces, position = listed.text.characters, list[str](), 0
     statements = {
         of_room or match[2]: (start, match)
-        for _, start, match, of_room in _statements(characters, "")
+        for _, start, match, of_room in _statements(listed.text.characters, "")
     }
-    for name, (start, match) in statements.items():
-        if name in own:
-            _, of_target = statements[aliases[name]]
-            pieces += [
-                characters[position : start + match.start(1)],
-                f"{of_target[1] or 'ABS'} {name} = {of_target[3]}",
-            ]
-            position = start + match.end(3)
-    text = "".join([*pieces, characters[position:]])
-    return _parse_catt(listed.text.encode(text), listed.path)
+    own: dict[Span, str] = {}
+    for name, target in aliases.items():
+        others = (row for n, row in rows.items() if target in (n, aliases.get(n)))
+        if name in statements and any((row != rows[name]).any() for row in others):
+            (start, match), (_, of) = statements[name], statements[target]
+            own[start + match.start(1), start + match.end(3)] = f"{of[1] or 'ABS'} {name} = {of[3]}"
+    if not own:
+        return listed
+    return _parse_catt(listed.text.encode(_edited(listed.text.characters, own)), listed.path)
 
 
 def _bands_of_new_catt(room: Room) -> tuple[float, ...]:
@@ -980,48 +960,30 @@ _HEAD = re.compile(r"[ \t]*(\d{1,10})[ \t]+(\S(?:.*\S)?)[ \t]*", re.ASCII)
 def _parse_odeon(content: bytes, path: str = "ODEON file") -> MaterialList:
     """Return the materials of a library's content. DataError names file, line and rule."""
     text = decode(content, path)
+    rows = [row for row in lines(text.characters) if row[2].strip()]
     materials: list[ListedMaterial] = []
-    line_of_number: dict[int, int] = {}
-    head: re.Match[str] | None = None
-    line = 1
-    for line, start, raw in lines(text.characters):
-        place = f"{path}, line {line}"
-        if not raw.strip():
-            if head is not None:
-                raise DataError(
-                    f"{place}: this line is empty; the line after a description must have 8 "
-                    "coefficients"
-                )
-        elif head is None:
-            head = _HEAD.fullmatch(raw)
-            if head is None or int(head[1]) > _LARGEST_NUMBER:
-                raise DataError(
-                    f'{place}: "{shown(raw)}" must be a number, up to {_LARGEST_NUMBER}, and a '
-                    "description"
-                )
-            first = line_of_number.setdefault(int(head[1]), line)
-            if first != line:
-                raise DataError(
-                    f"{place}: number {int(head[1])} is given twice, first on line {first}"
-                )
-        else:
-            row = tokens(r"\S+", raw, start)
-            if len(row) != len(_OF_ODEON):
-                raise DataError(
-                    f"{place}: this line has {len(row)} values, but must have 8, for the "
-                    "octaves 63 Hz to 8 kHz"
-                )
-            its_name = f"{int(head[1])} {head[2]}"
-            decimals = _DECIMALS["odeon"]
-            materials.append(
-                ListedMaterial.of(its_name, line - 1, place, _OF_ODEON, row, decimals=decimals)
+    names: dict[int, str] = {}
+    for (line, _, raw), values in zip_longest(rows[::2], rows[1::2]):
+        place, head = f"{path}, line {line}", _HEAD.fullmatch(raw)
+        if head is None or int(head[1]) > _LARGEST_NUMBER:
+            raise DataError(
+                f'{place}: "{shown(raw)}" must be a number, up to {_LARGEST_NUMBER}, and a description'
             )
-            head = None
-    if head is not None:
-        raise DataError(f"{path}, line {line}: its 8 coefficients are missing")
-    named = [(m.name.split(" ", 1)[1], m.name) for m in materials]
-    times = Counter(description for description, _ in named)
-    aliases = {description: name for description, name in named if times[description] == 1}
+        if int(head[1]) in names:
+            raise DataError(f"{place}: number {int(head[1])} is given twice")
+        n, start, characters = values or (line, 0, "")
+        row = tokens(r"\S+", characters, start)
+        if len(row) != len(_OF_ODEON):
+            raise DataError(
+                f"{path}, line {n}: a description must be followed by a line of 8 values, for the "
+                f"octaves 63 Hz to 8 kHz, but this has {len(row)}"
+            )
+        names[int(head[1])] = head[2]
+        name, place = f"{int(head[1])} {head[2]}", f"{path}, line {n}"
+        decimals = _DECIMALS["odeon"]
+        materials.append(ListedMaterial.of(name, line, place, _OF_ODEON, row, decimals=decimals))
+    times = Counter(names.values())
+    aliases = {name: f"{n} {name}" for n, name in names.items() if times[name] == 1}
     return MaterialList(path=path, text=text, materials=tuple(materials), aliases=aliases)
 
 
@@ -1148,7 +1110,7 @@ pyroomacoustics = Format(parse=_parse_pyroomacoustics, new=_new_pyroomacoustics)
 
 # -- BRAS: rows of frequencies, absorption and scattering; or a table with the column "material"
 
-_MAX_BANDS = 100
+_MAX_COLUMNS = 100
 
 
 def _parse_bras(
@@ -1156,86 +1118,67 @@ def _parse_bras(
 ) -> MaterialList:
     """Return the materials of a file's content; DataError names file, line and rule."""
     text, where = decode(content, path), checks.text_by_name("where", where)
-    rows = [
-        (f"{path}, line {line}", line, _cells(raw, start))
-        for line, start, raw in lines(text.characters)
-        if raw.strip()
-    ]
-    if not rows:
-        raise DataError(
-            f"{path}, line 1: this line is empty; it must have the frequencies, or the "
-            "names of columns"
-        )
-    place, _, header = rows[0]
-    if len(header) > _MAX_BANDS:
-        raise DataError(f"{place}: {len(header)} columns; at most {_MAX_BANDS} are read")
-    if not re.match(r"[\d.]", header[0][0]):
-        return MaterialList(path=path, text=text, materials=_of_bras_table(rows, where))
-    if where:
-        raise DataError(
-            f"{path}: holds one material, so there are no columns to select from; leave where out"
-        )
-    if not 2 <= len(rows) <= 3:
-        raise DataError(
-            f"{rows[-1][0]}: {len(rows)} rows; give 2 or 3 rows: frequencies, absorption and, if "
-            "known, scattering"
-        )
-    frequencies = _bands_of(header, place, "frequencies")
-    for place, _, row in rows[1:]:
-        if len(row) != len(frequencies):
-            numbers(row, place)
-            raise DataError(
-                f"{place}: {len(row)} values, but {len(frequencies)} frequencies; give the "
-                "same number of both"
+    (place, _, header), *rows = _rows_of(text, path)
+    names, decimals = [name for name, *_ in header], _DECIMALS["bras"]
+    columns = [i for i, name in enumerate(names) if re.match(r"[\d.]", name)]
+    is_table = len(columns) < len(header)
+    for wanted in ("material", *where) if is_table else ():
+        if names.count(wanted) != 1:
+            raise DataError(f'{place}: column "{shown(wanted)}" must occur exactly once')
+    # Frequencies in the published tables are off by up to 3 %.
+    stated = numbers([header[i] for i in columns], place)
+    nominal = [nearest_band(f) or f if f > 0 else f for f in stated]
+    frequencies = tuple(map(float, bands.as_bands(nominal, f"{place}: frequencies")))
+    if is_table:
+        materials = [
+            ListedMaterial.of(
+                cells[names.index("material")][0],
+                line,
+                of_row,
+                frequencies,
+                [cells[i] for i in columns],
+                decimals=decimals,
             )
-    (place, line, row), scatters = rows[1], rows[2][2] if len(rows) > 2 else None
+            for of_row, line, cells in rows
+            if all(cells[names.index(column)][0] == entry for column, entry in where.items())
+        ]
+        if not materials:
+            raise DataError(f"{path}: no row fits the selection (where)")
+        return MaterialList(path=path, text=text, materials=tuple(materials))
+    if where or not 1 <= len(rows) <= 2:
+        raise DataError(
+            f"{path}: has {1 + len(rows)} rows of numbers; give 2 or 3: frequencies, absorption and, "
+            'if known, scattering; where selects from a table with a column "material" alone'
+        )
+    of_row, line, _ = rows[0]
+    alone = [cells for *_, cells in rows]
     material = ListedMaterial.of(
-        Path(path).stem, line, place, frequencies, row, scatters, decimals=_DECIMALS["bras"]
+        Path(path).stem, line, of_row, frequencies, *alone, decimals=decimals
     )
     return MaterialList(path=path, text=text, materials=(material,))
 
 
-def _cells(raw: str, start: int) -> list[Token]:
-    """Return the cells of a line that begins at position ``start``."""
-    cells = []
-    for characters in raw.split(","):
-        begin, content = start + len(characters) - len(characters.lstrip()), characters.strip()
-        cells.append((content, begin, begin + len(content)))
-        start += len(characters) + 1
-    return cells
-
-
-def _bands_of(cells: Sequence[Token], place: str, what: str) -> tuple[float, ...]:
-    """Return the bands in Hz; frequencies in the published tables are off by up to 3 %."""
-    nominal = [nearest_band(f) or f if f > 0 else f for f in numbers(cells, place)]
-    return tuple(map(float, bands.as_bands(nominal, f"{place}: {what}")))
-
-
-def _of_bras_table(
-    rows: Sequence[tuple[str, int, list[Token]]], where: Mapping[str, str]
-) -> tuple[ListedMaterial, ...]:
-    place, _, header = rows[0]
-    names = [cell for cell, *_ in header]
-    for wanted in ("material", *where):
-        if names.count(wanted) != 1:
-            raise DataError(f'{place}: column "{shown(wanted)}" must occur exactly once')
-    columns = [i for i, name in enumerate(names) if re.match(r"[\d.]", name)]
-    frequencies = _bands_of([header[i] for i in columns], place, "the bands' columns")
-    materials = []
-    for place, line, cells in rows[1:]:
-        if len(cells) != len(header):
-            raise DataError(
-                f"{place}: this row has {len(cells)} cells, but the header has {len(header)}"
-            )
-        if any(cells[names.index(column)][0] != entry for column, entry in where.items()):
+def _rows_of(text: Text, path: str) -> list[tuple[str, int, list[Token]]]:
+    """Return the rows of a table as place, line and cells; DataError for one of another width."""
+    rows = list[tuple[str, int, list[Token]]]()
+    for line, start, raw in lines(text.characters):
+        if not raw.strip():
             continue
-        row, name = [cells[i] for i in columns], cells[names.index("material")][0]
-        materials.append(
-            ListedMaterial.of(name, line, place, frequencies, row, decimals=_DECIMALS["bras"])
-        )
-    if not materials:
-        raise DataError(f"{rows[-1][0]}: no row fits the selection (where)")
-    return tuple(materials)
+        place = f"{path}, line {line}"
+        cells = [
+            (cell.strip(), begin + len(cell) - len(cell.lstrip()), begin + len(cell.rstrip()))
+            for cell, begin, _ in tokens(r"(?:^|(?<=,))[^,]*", raw, start)
+        ]
+        if len(cells) > _MAX_COLUMNS:
+            raise DataError(f"{place}: {len(cells)} columns; at most {_MAX_COLUMNS} are read")
+        if rows and len(cells) != len(rows[0][2]):
+            raise DataError(
+                f"{place}: this row has {len(cells)} cells, but the header has {len(rows[0][2])}"
+            )
+        rows.append((place, line, cells))
+    if not rows:
+        raise DataError(f"{path}, line 1: this line is empty; it must have the names of columns")
+    return rows
 
 
 def _new_bras(room: Room, *_: object) -> bytes:
@@ -1263,20 +1206,14 @@ def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float
     ``material,125,250,500``. DataError names the file, the line and the rule.
     """
     content, place = read_bytes(path, MAX_TEXT), os.fspath(path)
-    rows = [
-        (f"{place}, line {line}", [cell.strip() for cell in raw.split(",")])
-        for line, _, raw in lines(decode(content, place).characters)
-        if raw.strip()
-    ]
-    if not rows or rows[0][1] != ["material", "sigma"]:
+    (_, _, header), *rows = _rows_of(decode(content, place), place)
+    if [name for name, *_ in header] != ["material", "sigma"]:
         return {m.name: m for m in bras.parse(content, place).materials}
     sigma: dict[str, ListedMaterial | float] = {}
-    for where, cells in rows[1:]:
-        if len(cells) != 2:
-            raise DataError(f"{where}: this row has {len(cells)} cells, but the header has 2")
-        if cells[0] in sigma:
-            raise DataError(f'{where}: "{cells[0]}" is given twice')
-        sigma[cells[0]] = value = number(cells[1], where)
+    for where, _, ((name, *_), (cell, *_)) in rows:
+        if name in sigma:
+            raise DataError(f'{where}: "{name}" is given twice')
+        sigma[name] = value = number(cell, where)
         if not 0 <= value <= 1:
             raise DataError(f"{where}: sigma {value:g} must be from 0 to 1")
     return sigma
