@@ -288,18 +288,6 @@ class MaterialList:
                 aliases[name] = alike.pop()
         return replace(self, aliases=aliases)
 
-    def _in_file_bands(self, room: Room, wanted: Sequence[float]) -> Room:
-        """Return the room itself, or the room in the file's bands if they are of another width."""
-        if not wanted or not bands.rule(room.centre_frequencies, wanted, "alpha"):
-            return room
-        obtainable = bands.obtainable(room.centre_frequencies, wanted)
-        if not obtainable.size:
-            raise DataError(
-                f"{self.path}: none of its bands can be made from the room's bands, "
-                f"{', '.join(bands.labels(room.centre_frequencies))}"
-            )
-        return room.in_bands(obtainable)
-
     def with_room(self, room: Room) -> tuple[bytes, Room, tuple[str, ...]]:
         """Return the file with a room's coefficients, the room as a program reads it, and omissions.
 
@@ -309,7 +297,16 @@ class MaterialList:
         the coefficient, rounded to the file's decimals, differs from it.
         """
         common = _common_bands(map(self.listed, room.materials))
-        room = self._in_file_bands(room, common)
+        if common and bands.rule(room.centre_frequencies, common, "alpha"):  # of another width
+            obtainable = bands.obtainable(room.centre_frequencies, common)
+            room = room.in_bands(obtainable) if obtainable.size else room
+        shared = [f for f in room.centre_frequencies if f in common]
+        if not shared:
+            raise DataError(
+                f"{self.path}: none of the room's bands, "
+                f"{', '.join(bands.labels(room.centre_frequencies))}, "
+                "is one of all its materials in the list"
+            )
         asked: dict[Span, tuple[float | str, str]] = {}
         written: dict[Span, str] = {}
 
@@ -330,11 +327,6 @@ class MaterialList:
         for i, name in enumerate(room.materials):
             material = self.listed(name)
             columns = [bands.index(room.centre_frequencies, f) for f in material.centre_frequencies]
-            if not any(k is not None for k in columns):
-                raise DataError(
-                    f'{self.path}, line {material.line}: "{material.name}" has none of the '
-                    "room's bands"
-                )
             for quantity, table in tables.items():
                 spans, values, at = material.spans, material.alpha, material.scattering_place
                 if quantity == "scattering":
@@ -357,11 +349,6 @@ class MaterialList:
                     table[i, k] = before if same else as_read
         scattering = None if lacking else tables.get("scattering")
         as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
-        shared = [f for f in room.centre_frequencies if f in common]
-        if not shared:
-            raise DataError(
-                f"{self.path}: no band of the room is common to all materials of the list"
-            )
         if len(shared) < room.n_bands:
             as_read = as_read.in_bands(shared)
         changed = _edited(self.text.characters, written)

@@ -237,6 +237,8 @@ _DONE = {
     "partly outside": "components that reach through a wall are left out; their areas, and whether "
     "the room has them, are uncertain",
     "through": "objects that reach through a wall end there",
+    "gap": "faces of closed objects are in front of a wall, and both areas are counted; use --weld as "
+    "given if they touch",
     "contact": "faces of closed objects touch others: the room has neither there",
 }
 _LOOSE = "components hang free, or are walls that do not meet the others"
@@ -435,13 +437,18 @@ class FaceSet:
         """Return the edges, divided at all corners, of an odd number of faces, and one face of each."""
         return {e: sides[0] for e, sides in self.owners().items() if len(sides) % 2}
 
-    def components(self) -> list[FaceSet]:
-        """Return the faces of each component: faces are joined where two meet in an edge."""
-        n = len(self.faces)
-        pairs = np.array([s for s in self.owners().values() if len(s) == 2], dtype=int)
-        links = coo_array((np.ones(len(pairs)), pairs.reshape(-1, 2).T), shape=(n, n))
+    def groups(self, pairs: Sequence[Sequence[int]]) -> list[FaceSet]:
+        """Return the faces of each group that pairs of numbers join."""
+        links = coo_array(
+            (np.ones(len(pairs)), np.reshape(pairs, (-1, 2)).astype(int).T),
+            shape=(len(self.faces), len(self.faces)),
+        )
         number, label = connected_components(links, directed=False)
         return [self.kept(label == k) for k in range(number)]
+
+    def components(self) -> list[FaceSet]:
+        """Return the faces of each component: faces are joined where two meet in an edge."""
+        return self.groups([sides for sides in self.owners().values() if len(sides) == 2])
 
     def polyhedron(self) -> Polyhedron:
         """Return the closed room of the faces; DataError if they do not close."""
@@ -682,30 +689,25 @@ def _snapped(part: FaceSet) -> FaceSet:
 
 def _joined(part: FaceSet) -> FaceSet:
     """Return the faces of a mesh of triangles, with neighbours in one plane joined to one polygon."""
-    mend, points, faces = part.mend, part.mend.points, part.faces
+    mend, faces = part.mend, part.faces
     if len(faces) < 8 or not all(len(face.corners) == 3 for face in faces):
         return part
     sides: dict[Edge, list[int]] = {}
     for i, face in enumerate(faces):
         for edge in edges_of(face.corners):
             sides.setdefault(edge, []).append(i)
-    is_done = [False] * len(faces)
+    planes = [Polygon(corners) for corners in part.polygons]
+    pairs = [
+        (i, j)
+        for i, j in (pair for pair in sides.values() if len(pair) == 2)
+        if faces[i].material == faces[j].material
+        and max(planes[i].thickness(planes[j].corners), planes[j].thickness(planes[i].corners))
+        < PLANARITY * 0.45
+    ]
     out = FaceSet(mend)
-    for first in np.argsort(-part.areas, kind="stable").tolist():
-        if is_done[first]:
-            continue
-        is_done[first] = True
-        members, plane = [first], Polygon(points[faces[first].corners])
-        for i in members:  # the list grows during the loop
-            for j in (
-                k for e in edges_of(faces[i].corners) if len(sides[e]) == 2 for k in sides[e]
-            ):
-                is_alike = not is_done[j] and faces[j].material == faces[first].material
-                if is_alike and plane.thickness(points[faces[j].corners]) < PLANARITY * 0.45:
-                    is_done[j] = True
-                    members.append(j)
-        loops = outlined(mend, [faces[i].corners for i in members])
-        out.faces += [faces[first]._replace(corners=loop) for loop in loops]
+    for piece in part.groups(pairs):
+        loops = outlined(mend, piece.loops)
+        out.faces += [piece.faces[0]._replace(corners=loop) for loop in loops]
     return out
 
 
@@ -877,7 +879,8 @@ def _hole(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> _Hole:
         for run in runs:
             corners = [loop[i % n] for i in run]
             edge = max(
-                (e for e in edges_of(corners) if e in missing), key=lambda e: extent_of(points[[*e]])
+                (e for e in edges_of(corners) if e in missing),
+                key=lambda e: extent_of(points[[*e]]),
             )
             area = area_of(np.concatenate([points[corners], apex]))
             lids.append(_Lid(corners, part.faces[missing[edge]].material, area))
@@ -1145,7 +1148,7 @@ def _put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
     A face is near if it is at most ``weld`` in front of a wall, or reaches at most `OFFSET` through one
     of the first ``n_shell`` walls, the walls of the room. A larger gap, up to `OFFSET`, is only noted.
     """
-    mend, gaps, widest = part.mend, list[tuple[str, float]](), 0.0
+    mend = part.mend
     onto: dict[int, list[Polygon]] = {}
     for face, outward in zip(part.faces, part.polyhedron().normals, strict=True):
         corners = mend.points[face.corners]
@@ -1166,17 +1169,8 @@ def _put_on_walls(walls: Walls, part: FaceSet, n_shell: int) -> None:
                 unsure = [(face.material, longer)]
                 mend.found("contact", [place % "on"], shared, 0.0, -2 * shared, unsure=unsure)
             elif shared > COVERED * size and gap <= OFFSET and j < n_shell:
-                gaps.append((place % "before", size))
-                widest = max(widest, gap)
+                mend.found("gap", [f"{place % 'before'} (--weld {1.1 * gap:.2g})"], size)
     _move(part, onto)
-    if gaps:
-        mend.found(
-            "gap",
-            [place for place, _ in gaps],
-            sum(size for _, size in gaps),
-            done=f"faces of closed objects are up to {widest * 1000:.2g} mm in front of a wall, "
-            f"and both areas are counted; use --weld {1.1 * widest:.2g} if they touch",
-        )
 
 
 def _stand_on_walls(walls: Walls, part: FaceSet) -> Mapping[str, float]:
@@ -1370,12 +1364,8 @@ def _add_plate(part: FaceSet, plane: Polygon, shape: Any, face: Face) -> None:
         part.faces += [Face(edge, face.material, f"{face.name} edge") for edge in edges]
 
 
-@dataclass
-class _Placed:
-    """A component in the room: its ``faces`` among all, and whether it is open, and within the walls.
-
-    ``unsure`` are standard uncertainties of area in m² by material.
-    """
+class _Placed(NamedTuple):
+    """A component in the room: its ``faces`` among all, and uncertainties in m² by material."""
 
     part: FaceSet
     faces: slice
