@@ -332,13 +332,14 @@ class MaterialList:
                 if quantity == "scattering":
                     spans, values = material.scattering_spans, material.scattering or ()
                 if not spans:
-                    if at is None or None in columns:
+                    in_room = [k for k in columns if k is not None]
+                    if at is None or len(in_room) < len(columns):
                         lacking.append(name)
                         continue
-                    rounded = [material.rounded(float(table[i, k])) for k in columns]
+                    rounded = [material.rounded(float(table[i, k])) for k in in_room]
                     inserted = self.scattering_text([characters for characters, _ in rounded])
                     put((at, at), inserted, f'{self.path}: scattering["{name}"]', inserted)
-                    table[i, columns] = [value for _, value in rounded]
+                    table[i, in_room] = [value for _, value in rounded]
                 for k, span, before in zip(columns, spans, values, strict=bool(spans)):
                     if k is None:
                         continue
@@ -348,11 +349,11 @@ class MaterialList:
                     put(span, value, place, None if same else characters)
                     table[i, k] = before if same else as_read
         scattering = None if lacking else tables.get("scattering")
-        as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
+        room_as_read = room.replace(alpha=tables["alpha"], scattering=scattering)
         if len(shared) < room.n_bands:
-            as_read = as_read.in_bands(shared)
+            room_as_read = room_as_read.in_bands(shared)
         changed = _edited(self.text.characters, written)
-        return self.text.encode(changed), as_read, tuple(lacking)
+        return self.text.encode(changed), room_as_read, tuple(lacking)
 
 
 def _common_bands(materials: Iterable[ListedMaterial]) -> list[float]:
@@ -859,7 +860,8 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
         line,
         place,
         _OF_CATT[: len(percents)],
-        *rows,
+        rows[0],
+        rows[1] if len(rows) > 1 else None,
         unit=0.01 if in_percent else 1.0,
         decimals=_DECIMALS["catt"] + (0 if in_percent else 2),
         scattering_place=offset + found.end(1) + 1,
@@ -1137,10 +1139,9 @@ def _parse_bras(
             f"{path}: has {1 + len(rows)} rows of numbers; give 2 or 3: frequencies, absorption and, "
             'if known, scattering; where selects from a table with a column "material" alone'
         )
-    of_row, line, _ = rows[0]
-    alone = [cells for *_, cells in rows]
+    (of_row, line, row), scatters = rows[0], rows[1][2] if len(rows) > 1 else None
     material = ListedMaterial.of(
-        Path(path).stem, line, of_row, frequencies, *alone, decimals=decimals
+        Path(path).stem, line, of_row, frequencies, row, scatters, decimals=decimals
     )
     return MaterialList(path=path, text=text, materials=(material,))
 
