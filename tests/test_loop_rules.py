@@ -91,8 +91,8 @@ def test_the_next_target_is_a_time_within_the_range():
     assert next_time("safeguarded", [(2.0, 1.0)], 8.0, longest=5.0) == pytest.approx(5.0)
     assert next_time("safeguarded", [(2.0, 1.0)], 5 / 3, longest=5.0) == pytest.approx(10 / 3)
     assert next_time("safeguarded", [(2.0, 4.0)], 2.4, shortest=0.8) == pytest.approx(1.2)
-    assert next_time("secant", [(2.0, 0.9)], 2.0, longest=5.0) == pytest.approx(2.0)  # below 0
-    assert next_time("secant", [(2.0, 1.0)], 2.0, longest=5.0) == pytest.approx(2.0)  # 0
+    assert next_time("secant", [(2.0, 0.9)], 2.0, longest=5.0) == pytest.approx(4.0)  # below 0
+    assert next_time("secant", [(2.0, 1.0)], 2.0, longest=5.0) == pytest.approx(4.0)  # 0
     assert next_time("secant", [(9.0, 0.9)], 2.0, longest=5.0) == pytest.approx(5.0)  # and cut
     assert next_time("safeguarded", [(2.0, 2.5)], 2.0, longest=1.5) == pytest.approx(1.5)
 

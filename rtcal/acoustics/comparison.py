@@ -48,7 +48,8 @@ class Comparison(Result):
 
     ``run`` is the simulation, ``measured`` the measurement, and ``equation`` the reverberation equation
     with which the share of the coefficients in a deviation is calculated. ``of_equation`` is True if
-    the run is T of the equation itself and no program's.
+    the run is T of the equation itself and no program's. ``stated`` is the room with the input
+    coefficients if the run had others, else None.
     """
 
     record_kind: ClassVar[str] = "comparison"
@@ -65,6 +66,8 @@ class Comparison(Result):
     equation: LinearEquation
     of_equation: bool = False
     """Whether the run is T of the equation and no program's."""
+    stated: Room | None = None
+    """Room with the input coefficients, if the run had others."""
 
     def __post_init__(self) -> None:
         _ = self.compared  # raises where nothing is in common
@@ -176,17 +179,28 @@ class Comparison(Result):
     @cached_property
     def _prior(self) -> Array:
         """Standard deviation of T in JND by errors of the coefficients, (n_bands,)."""
-        room, n = self.run.room, self.run.room.n_bands
+        room, n = self.stated or self.run.room, self.run.room.n_bands
         own_covariance = prior_covariance(room).reshape(room.n_materials, n, room.n_materials, n)
         common = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
         variance = np.einsum("m,mbnb,n->b", room.areas, own_covariance, room.areas)
         area = np.sqrt(variance + np.sum(common**2, axis=0)) * (
-            not is_calibrated(room)
+            not any(map(is_calibrated, (self.run.room, room)))
         )  # of S'alpha
         with np.errstate(all="ignore"):
             slope = self._times * self.equation.target_sensitivity(room, self._times)
             prior = np.nan_to_num(np.abs(area / slope)) / REVERBERATION[0].jnd  # of T, in JND
         return np.asarray(prior)
+
+    @cached_property
+    def of_other_coefficients(self) -> Array:
+        """Deviation of T in JND because the run had other coefficients than the input, (n_bands,).
+
+        The equation gives it. It is 0 where the run had the input coefficients or calibrated ones.
+        """
+        if self.stated is None or is_calibrated(self.run.room):
+            return np.zeros(self.run.room.n_bands)
+        off = gap_jnd(self._times, self.equation.reverberation_time(self.stated), REVERBERATION[0].key)
+        return np.nan_to_num(off)
 
     @cached_property
     def _per_jnd_of_time(self) -> dict[str, Array]:
@@ -203,28 +217,29 @@ class Comparison(Result):
     def coefficients(self) -> dict[str, Array]:
         """Deviation that errors of the coefficients can cause, in JND: mean and standard deviation.
 
-        They are an array (2, n_bands) by parameter. The errors are the sigma of the run's coefficients
+        They are an array (2, n_bands) by parameter. The errors are the sigma of the input coefficients
         and errors that all coefficients have in common (`rtcal.acoustics.room_errors`); the equation
-        gives the change of T that they cause. The mean is 0 for T20, or for T30 if T20 is not compared.
+        gives the change of T that they cause. The mean is `of_other_coefficients` for T20, or for T30
+        if T20 is not compared.
         Other parameters change with T as in an exponential decay, so that the deviation of T gives
         their mean. Both are 0 for a calibrated room, whose coefficients were chosen for T.
         """
-        prior, n = self._prior, self.run.room.n_bands
-        mean, left, own = np.zeros_like(prior), prior, [""] * n
+        prior, n, other = self._prior, self.run.room.n_bands, self.of_other_coefficients
+        mean, left, own = other, prior, [""] * n
         for o in reversed(REVERBERATION):
             if o.key in self.deviation:
                 off, u = self.deviation[o.key], self.known(o.key)
                 with np.errstate(all="ignore"):
                     share = np.nan_to_num(prior**2 / (prior**2 + u**2))
                 known = np.isfinite(off)
-                mean = np.where(known, share * off, mean)
+                mean = np.where(known, other + share * (off - other), mean)
                 left = np.where(known, np.sqrt(1 - share) * prior, left)
                 own = [o.key if k else key for k, key in zip(known, own, strict=True)]
         found = {}
         for p in self.parameters:
             per_jnd = self._per_jnd_of_time[p]
             first = np.array([key in ("", p) for key in own])
-            ends = np.where(first, [np.zeros_like(prior), prior], [mean, left])
+            ends = np.where(first, [other, prior], [mean, left])
             found[p] = np.nan_to_num(np.array([per_jnd, np.abs(per_jnd)]) * ends)
         return found
 
@@ -241,16 +256,17 @@ class Comparison(Result):
         """Whether errors of the coefficients explain a disagreement, (n_bands,) of bool by parameter.
 
         They explain it if two deviations are within one JND or twice their standard uncertainty: the
-        whole one, by errors of the coefficients, and what is left of it beside the mean that
+        one from the input coefficients, by their errors, and what is left of it beside the mean that
         `coefficients` gives.
         """
         found = {}
         for p, where in self.disagrees.items():
             off, (mean, left) = self.deviation[p], self.coefficients[p]
-            whole = self._prior * np.nan_to_num(self._per_jnd_of_time[p])
+            per_jnd = np.nan_to_num(self._per_jnd_of_time[p])
+            whole, other = self._prior * per_jnd, self.of_other_coefficients * per_jnd
             within = [
                 np.abs(each) <= np.fmax(NOTICED, LARGE_Z * np.hypot(self.known(p), deviation))
-                for each, deviation in ((off, whole), (off - mean, left))
+                for each, deviation in ((off - other, whole), (off - mean, left))
             ]
             found[p] = where & np.all(within, axis=0) & (self.coefficients[p] != 0).any(axis=0)
         return found
@@ -333,7 +349,7 @@ def compare(
     >>> rt.compare(room, measured, run)
     <Comparison: The program's T30 is 20 % too long in all bands.>
     """
-    equation, by_equation = equation or Eyring(), run is None
+    equation, by_equation, stated = equation or Eyring(), run is None, None
     checks.instance("measured", measured, Measurement).refuse_other_units()
     if run is None:
         times = equation.reverberation_time(checks.instance("room", room, Room))
@@ -347,4 +363,7 @@ def compare(
         run = Run(room, Measurement.from_values(room.centre_frequencies, **each))
     else:
         checks.instance("run", run, Run).refuse_other(room)
-    return Comparison(run=run, measured=measured, equation=equation, of_equation=by_equation)
+        stated = None if np.array_equal(run.room.alpha, room.alpha) else room
+    return Comparison(
+        run=run, measured=measured, equation=equation, of_equation=by_equation, stated=stated
+    )

@@ -618,7 +618,7 @@ def of_unit(
     if (np.sign(np.median(off)) * off).min() < _LEAST_SLIP:
         return []
     low, high = 10 ** off.min(), 10 ** off.max()
-    by = f"{low:.2g}" if f"{low:.2g}" == f"{high:.2g}" else f"{low:.2g} to {high:.2g}"
+    by = " to ".join(dict.fromkeys(f"{float(f'{end:.2g}'):g}" for end in (low, high)))
     where = "in every band" if off.size > 1 else "in the one band that was measured"
     text = f"{name} is {by} times {of} {where}"
     return [mark("unit_error", None, text)]

@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from rtcal.command import console
-from rtcal.files.disk import spare
+from rtcal.files.disk import may_replace, spare
 
 _STATE = console.file("state", "File of the loop's state (JSON).", required=True)
 _OUT = console.file("out", "Room to simulate next (TOML) to write.", required=True)
@@ -128,8 +128,9 @@ def next_(args: Namespace) -> None:
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
 
-    spare([args.state, args.out], [args.room, args.simulated])
     before = closed.Loop.load(args.state, Room.from_file(args.room))
+    may_replace(args.state)  # a copy of a state is a state, too
+    spare([args.state, args.out], [args.room, args.simulated])
     after = closed.record(
         before,
         console.read_measured(args.simulated),
@@ -154,8 +155,9 @@ def back(args: Namespace) -> None:
     from rtcal.acoustics.room import Room
     from rtcal.loop import closed
 
-    spare([args.state, args.out], [args.room])
     before = closed.Loop.load(args.state, Room.from_file(args.room)).back()
+    may_replace(args.state)
+    spare([args.state, args.out], [args.room])
     n = len(before.steps)
     then = closed.write(before, args.state, args.out)
     said = f"{args.state} now holds {n} simulation{'s' * (n != 1)}. {then}"

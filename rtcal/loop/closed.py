@@ -485,6 +485,10 @@ class Loop(Result):
         blocked = np.abs(np.log(self._target_without_t20 / self._best.target)) < _CLOSE_TARGETS
         blocked |= (gap < 0) & (last.target >= longest * (1 - _AT_LIMIT))
         blocked |= (gap > 0) & (last.target <= shortest * (1 + _AT_LIMIT))
+        if len(steps := self.steps[-2:]) == 2:  # the next target would be the same once more
+            blocked |= (steps[0].target == steps[1].target) & (
+                steps[0].simulated == steps[1].simulated
+            )
         if len(steps := self.steps[-_STUCK_STEPS:]) == _STUCK_STEPS:
             changed = np.diff([step.alpha for step in steps], axis=0) != 0
             same = np.diff([step.simulated for step in steps], axis=0) == 0
@@ -1326,6 +1330,12 @@ def write(loop: Loop, state: str, out: str) -> str:
             f"Done{missed}. {out} has the coefficients of each band's nearest run. Next: simulate them "
             "together, then give the result to `rtcal loop next`, which checks it."
         )
+        if any(np.array_equal(step.alpha, loop.best_alpha) for step in loop.steps):
+            end = (
+                f"Done{missed}. {out} has the calibrated coefficients, which were simulated together. "
+                "If your program uses random numbers, simulate them once more: `rtcal loop next` then "
+                "checks them."
+            )
         if loop.after is not None:
             end = f"Done{missed}. {out} has the calibrated coefficients, which were simulated together."
         denied = [s == "not confirmed" for s in loop.status]
@@ -1412,6 +1422,6 @@ def next_target(
     are the ends of the equation's range of T in s.
     """
     rate = RULES[rule](1 / targets, 1 / times, 1 / wanted, 1 / longest, 1 / shortest)
-    if rate <= 0:  # the secant rule has no valid target: keep the last one
-        rate = 1 / float(targets[-1])
+    if rate <= 0:  # the secant rule leads beyond every T: twice the last target
+        rate = 0.5 / float(targets[-1])
     return float(np.clip(1 / rate, shortest, longest))

@@ -40,6 +40,7 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands, observables
 from rtcal.acoustics.bands import label
+from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
@@ -447,6 +448,8 @@ def rows_of_pairs(used: NDArray[np.bool_]) -> list[Any]:
 
 _REACH = 2.0
 """Standard deviations of the stated coefficients that a sentence counts as within reach."""
+_POSSIBLE = 0.9
+"""Largest mean coefficient that a room may have, for the advice of a sentence."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -475,19 +478,18 @@ class BeyondPrior:
     def __str__(self) -> str:
         name = parameter_label(self.parameter)
         sigma = abs(self.z) / _REACH
-        needed = (
-            f"a mean coefficient of {self.needed:.2f} instead of the input's {self.stated:.2f}"
-            if self.needed > 0
-            else "a mean coefficient below 0"
-        )
+        needed = f"a mean coefficient of {self.needed:.2f} instead of the input's {self.stated:.2f}"
+        advice = f"Enter a sigma {sigma:.0f} times as large if the coefficients are guesses, or look"
+        if not 0 < self.needed < _POSSIBLE:
+            needed = f"a mean coefficient {'below 0' if self.needed <= 0 else f'above {_POSSIBLE}'}"
+            advice = "Check the unit of T and the size of the room, or look"
         return (
             f"The input coefficients and their sigma cannot explain the measured {name} in "
             f"{self.bands} of {self.of_bands} bands. At {label(self.frequency)} the measured {name} is "
             f"{self.measured:.2f} s. The simulation with the input coefficients has "
             f"{self.simulated:.2f} s, and coefficients within {_REACH:g} sigma of the input reach "
             f"{self.reached:.2f} s. The measured {name} requires {needed}, which is "
-            f"{abs(self.z):.0f} sigma away. Enter a sigma {sigma:.0f} times as large if the "
-            "coefficients are guesses, or look for what is missing from the model (`rtcal find`)."
+            f"{abs(self.z):.0f} sigma away. {advice} for what is missing from the model (`rtcal find`)."
         )
 
 
@@ -520,8 +522,9 @@ def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPr
         return None
     worst = int(np.argmax(np.abs(z)))
     k = bands[worst]
-    area = room.areas @ room.alpha[:, k]
-    whole = area + 4 * room.air_attenuation[k] * room.volume
+    stated = float(room.areas @ room.alpha[:, k] / room.total_area)
+    # By the equation, whose T changes by the factor by which the simulated T must.
+    times = Eyring().time(room, room.areas @ room.alpha) / (1 + more[worst])
     limit = 1 + np.sign(more[worst]) * _REACH * of_stated[worst]
     return BeyondPrior(
         parameter=known[0],
@@ -529,8 +532,8 @@ def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPr
         measured=float(goal[worst]),
         simulated=float(has[worst]),
         reached=float(has[worst] / limit),
-        stated=float(area / room.total_area),
-        needed=float((area + more[worst] * whole) / room.total_area),
+        stated=stated,
+        needed=float(Eyring().target(room, times)[k] / room.total_area),
         z=float(z[worst]),
         bands=int(beyond.sum()),
         of_bands=len(bands),

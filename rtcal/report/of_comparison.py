@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.comparison import NOTICED, Comparison
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.marks import LARGE_Z, rms
+from rtcal.acoustics.marks import LARGE_Z, of_unit, rms
 from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, parameter_label
 from rtcal.acoustics.room import is_calibrated
 from rtcal.report import figures
 from rtcal.report.document import Code, Items, Page, Picture, Section, summary, tables
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
-from rtcal.support.text import listed, number, numbers
+from rtcal.support.text import as_sentence, listed, number, numbers
 from rtcal.support.types import Array
 
 _MOST = 3  # parameters of which the answer says where they disagree
@@ -114,7 +114,7 @@ def _largest_pair(c: Comparison) -> list[str]:
 
 
 def _multiple(c: Comparison) -> list[str]:
-    """Return that a run's T is a multiple of the measured one, the same in all bands; [] else."""
+    """Return that a run's T is a multiple of the measured one in all bands; [] else."""
     run, measured = c.sides
     for kind in REVERBERATION:
         if c.of_equation or kind.key not in c.deviation:
@@ -123,8 +123,12 @@ def _multiple(c: Comparison) -> list[str]:
         ratio = ratio[np.isfinite(ratio)]
         factor = float(np.exp(np.log(ratio).mean()))
         alike = len(ratio) >= _BANDS and ratio.max() <= (1 + kind.jnd) * ratio.min()
+        time = parameter_label(kind.key)
+        if not alike and (
+            slip := of_unit(ratio, np.ones_like(ratio), f"the program's {time}", "the measured one")
+        ):
+            return [as_sentence(slip[0].sentence)]
         if alike and max(factor, 1 / factor) >= _MULTIPLE:
-            time = parameter_label(kind.key)
             whose = ("The program's", "measured one")
             if factor < 1:
                 factor, whose = 1 / factor, ("The measured", "program's")
@@ -157,13 +161,28 @@ def _coefficients(c: Comparison) -> list[str]:
     no = named(lambda p: c.disagrees[p] & ~c.explained[p])
     if not yes:
         return [
-            "Wrong coefficients are not the cause: no coefficients within the sigma of the input "
-            "remove these deviations."
+            "No coefficients within the sigma of the input remove these deviations: something else is "
+            "wrong, or a sigma is too small."
         ]
     part, others = ("a part of ", f", but not those of {listed(no)}") if no else ("", "")
+    whose, which = "Wrong input coefficients", "other coefficients"
+    if (np.abs(c.of_other_coefficients) > NOTICED).any():
+        whose, which = "The program's coefficients", "the input coefficients, or others"
     return [
-        f"Wrong input coefficients may be {part}the cause: other coefficients within their sigma "
+        f"{whose} may be {part}the cause: {which} within their sigma "
         f"remove the deviations of {listed(yes)}{others}. Each band was tested by itself."
+    ]
+
+
+def _other_coefficients(c: Comparison) -> list[str]:
+    """Return how the run's T differs because its coefficients are not the input's, where noticed."""
+    off = c.of_other_coefficients
+    if not (differs := np.abs(off) > NOTICED).any():
+        return []
+    how = _groups(c, off, differs, REVERBERATION[0].key, ("shorter", "longer"))
+    return [
+        "The program had other coefficients than the input: with them T by "
+        f"{c.equation.name}'s equation is {how}."
     ]
 
 
@@ -241,7 +260,7 @@ def _values(c: Comparison) -> Table:
 
 def blocks(c: Comparison) -> list[Block]:
     """Return a comparison as blocks: the answer, possible causes, the table, and data left out."""
-    said = (_multiple, _largest_pair, _coefficients, _of_the_equation)
+    said = (_multiple, _largest_pair, _other_coefficients, _coefficients, _of_the_equation)
     first = [sentence(c), *(line for of in said for line in of(c))]
     detailed = [*_by_pair(c), _values(c)]
     return [*map(Note, first), _table(c), *detailed, *map(Note, c.left_out)]
