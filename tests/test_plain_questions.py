@@ -83,7 +83,9 @@ def simulated(folder, factor):
     return folder / "s.csv"
 
 
-def test_coefficients_that_were_simulated_together_are_not_to_be_simulated_for_that(tmp_path, rtcal):
+def test_coefficients_that_were_simulated_together_are_not_to_be_simulated_for_that(
+    tmp_path, rtcal
+):
     following = begun(tmp_path, 1.2)
     said = rtcal(*following, simulated(tmp_path, 1.2))
     assert "Done." in said

@@ -199,7 +199,9 @@ class Comparison(Result):
         """
         if self.stated is None or is_calibrated(self.run.room):
             return np.zeros(self.run.room.n_bands)
-        off = gap_jnd(self._times, self.equation.reverberation_time(self.stated), REVERBERATION[0].key)
+        off = gap_jnd(
+            self._times, self.equation.reverberation_time(self.stated), REVERBERATION[0].key
+        )
         return np.nan_to_num(off)
 
     @cached_property

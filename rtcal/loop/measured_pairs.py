@@ -479,7 +479,9 @@ class BeyondPrior:
         name = parameter_label(self.parameter)
         sigma = abs(self.z) / _REACH
         needed = f"a mean coefficient of {self.needed:.2f} instead of the input's {self.stated:.2f}"
-        advice = f"Enter a sigma {sigma:.0f} times as large if the coefficients are guesses, or look"
+        advice = (
+            f"Enter a sigma {sigma:.0f} times as large if the coefficients are guesses, or look"
+        )
         if not 0 < self.needed < _POSSIBLE:
             needed = f"a mean coefficient {'below 0' if self.needed <= 0 else f'above {_POSSIBLE}'}"
             advice = "Check the unit of T and the size of the room, or look"
