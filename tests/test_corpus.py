@@ -5,7 +5,8 @@ import pytest
 
 import rtcal as rt
 from benchmarks import drawn_tables
-from rtcal.io import bras, catt, library, obj, odeon, pyroomacoustics, tables
+from rtcal.io import bras, catt, instruments, library, obj, odeon, pyroomacoustics, tables
+from rtcal.io.text import decode
 from rtcal.support.errors import DataError
 from tests import corpus
 
@@ -65,6 +66,24 @@ def values(measured):
         for f, value in zip(measured.centre_frequencies.tolist(), row, strict=True)
         if np.isfinite(value)
     }
+
+
+OF_INSTRUMENTS = [
+    case for case in corpus.CASES if case.reader == "tables" and instruments.recognises(case.content)
+]
+
+
+@pytest.mark.parametrize("case", OF_INSTRUMENTS, ids=lambda c: c.name)
+def test_an_instrument_is_known_by_its_text_in_every_encoding(case, tmp_path):
+    text = decode(case.content).characters
+    for codec in ("utf-8-sig", "utf-16"):
+        (tmp_path / "file").write_bytes(text.encode(codec))
+        if case.values is None:
+            with pytest.raises(DataError, match=case.error):
+                tables.read(tmp_path / "file", **case.options)
+        else:
+            read = values(tables.read(tmp_path / "file", **case.options).measurement)
+            assert read == {tuple(key): value for *key, value in case.values}
 
 
 BAFFLE = (0.45, 0.9, 1.0)

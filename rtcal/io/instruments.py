@@ -27,6 +27,8 @@ from rtcal.support.text import first_of
 _START = re.compile(r"\W*RT60 data (?:saved|measured) by REW", re.I)
 _FORMAT = re.compile(r"\W*Format is\s+(.*)", re.I)
 _WIDTH = "BW (octaves)"
+_LONGEST_START = 8000
+"""Characters within which a text shows which program wrote it."""
 _STRAIGHT = 0.98
 """Magnitude of the correlation coefficient below which REW calls a decay time unreliable."""
 _MOST_BENT = 6
@@ -34,12 +36,18 @@ _MOST_BENT = 6
 
 def recognises(content: bytes) -> bool:
     """Return whether a file is a text that one of the known measuring programs has exported."""
-    of_others = _XL2 in content[:200] or _AURORA in content[:200] or _is_of_dirac(content)
-    return _is_of_rew(content) or of_others
+    # Without the zeros of UTF-16, the beginnings of these texts, which are ASCII, are alike in all encodings.
+    start = content[: 2 * _LONGEST_START].replace(b"\0", b"")[:_LONGEST_START].decode("latin-1")
+    of_others = _XL2 in start[:200] or _is_of_aurora(start) or _is_of_dirac(start)
+    return _is_of_rew(start) or of_others
 
 
-def _is_of_rew(content: bytes) -> bool:
-    return b"RT60 data saved by REW" in content[:4000] or b"Format is freq" in content[:8000]
+def _is_of_rew(text: str) -> bool:
+    return "RT60 data saved by REW" in text[:4000] or "Format is freq" in text[:_LONGEST_START]
+
+
+def _is_of_aurora(text: str) -> bool:
+    return _AURORA in text[:200]
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
@@ -48,9 +56,9 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     ``where={"BW (octaves)": "1/3"}`` selects the third-octaves in a text of REW that has octaves, too.
     """
     text = decode(content, path)
-    if _AURORA in content[:200]:
+    if _is_of_aurora(text.characters):
         return [_of_aurora(sheets_of_text(text, path)[0])]
-    if _is_of_dirac(content):
+    if _is_of_dirac(text.characters):
         # A sheet for each of Dirac's tables, with the parameter in the header of each band.
         sheet = sheets_of_text(text, path)[0]
         tables: list[list[Row]] = []
@@ -63,7 +71,7 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
                 tables[-1].append((line, cells))
         return [Sheet(sheet.place, tuple(rows), f"Dirac's table, {sheet.note}") for rows in tables]
     numbered = [(n, raw.strip()) for n, _, raw in lines(text.characters)]
-    if not _is_of_rew(content):
+    if not _is_of_rew(text.characters):
         return [_averages(numbered, path, text)]
     starts = [i for i, (_, line) in enumerate(numbered) if _START.match(line)] or [0]
     ends = [*starts[1:], len(numbered)]
@@ -157,10 +165,10 @@ def _bent(columns: Sequence[str], rows: Sequence[Row]) -> list[str]:
     return [f"REW calls unreliable (r below {_STRAIGHT:g}): {first_of(bent, _MOST_BENT)}"]
 
 
-_XL2 = b"XL2 RT60 Reporting"
+_XL2 = "XL2 RT60 Reporting"
 _AVERAGES = "# rt60 average results"
 _HEADER = re.compile(r"Band\s+RT60\((T[23]0)\)\s+MeasUnct", re.I)
-_ROW = re.compile(r"(\d[\d.]*)\s+(-\.--|\d[\d.]*)\s+(-\.--|\d[\d.]*)")
+_ROW = re.compile(r"(\d[\d.,]*)\s+(-[.,]--|\d[\d.,]*)\s+(-[.,]--|\d[\d.,]*)")
 
 
 def _averages(numbered: Sequence[tuple[int, str]], path: str, text: Text) -> Sheet:
@@ -179,7 +187,8 @@ def _averages(numbered: Sequence[tuple[int, str]], path: str, text: Text) -> She
         if line.startswith("#"):
             break
         if m := _ROW.fullmatch(line):
-            rows.append((n, [m[1], *_with_uncertainty(m[2], m[3], f"{path}, line {n}")]))
+            band, value, percent = (cell.replace(",", ".") for cell in m.groups())
+            rows.append((n, _averaged(band, value, percent, f"{path}, line {n}")))
     if len(rows) < 2:
         raise DataError(f"{path}, line {header[0]}: the header is not followed by a row for a band")
     name = PureWindowsPath(numbered[0][1].partition(":")[2].strip()).stem
@@ -195,16 +204,16 @@ def _averages(numbered: Sequence[tuple[int, str]], path: str, text: Text) -> She
     )
 
 
-def _with_uncertainty(value: str, percent: str, place: str) -> tuple[str, str]:
-    """Return a value and its uncertainty in its own unit; empty if they are missing."""
+def _averaged(band: str, value: str, percent: str, place: str) -> list[str]:
+    """Return a band, its value and the uncertainty in the value's unit; empty if they are missing."""
     if value.startswith("-") or not number(value, place):
-        return "", ""
+        return [band, "", ""]
     if percent.startswith("-"):
-        return value, ""
-    return value, repr(number(value, place) * number(percent, place) / 100)
+        return [band, value, ""]
+    return [band, value, repr(number(value, place) * number(percent, place) / 100)]
 
 
-_AURORA = b"ISO3382 Acoustical Parameter File"
+_AURORA = "ISO3382 Acoustical Parameter File"
 _CHANNEL = re.compile(r"(?:.*\s)?(?:ch|channel)\s*(\d+)(?:\s.*)?", re.I)
 _WITHOUT_UNIT = {D50.key: "[%]", Ts.key: "[ms]"}
 
@@ -239,8 +248,8 @@ def _of_aurora(sheet: Sheet) -> Sheet:
     return Sheet(sheet.place, tuple(rows), f"Aurora's parameters, {sheet.note}")
 
 
-def _is_of_dirac(content: bytes) -> bool:
-    first = content[:2000].decode("latin-1").lstrip("\ufeff\xef\xbb\xbf").splitlines()
+def _is_of_dirac(text: str) -> bool:
+    first = text[:2000].lstrip("\ufeff\xef\xbb\xbf\xff\xfe").splitlines()
     return bool(first) and "\t" in first[0] and _is_head(first[0].split("\t"))
 
 

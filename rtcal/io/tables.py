@@ -1001,7 +1001,7 @@ class _Table:
             unit = column.unit
             if not column.parameter:  # its row may state one, by itself or as "TS/ms"
                 of_name = name_and_unit(entries.get("parameter", ""))[1]
-                unit = entries.get("unit", "") or of_name or unit
+                unit = entries.get("unit", "").strip("[]() ") or of_name or unit
             stated = {name: entries[name] for name in _SPREADS if name in entries}
             numbers = {
                 name: self._number(text, parameter, unit, place)
