@@ -69,7 +69,9 @@ def values(measured):
 
 
 OF_INSTRUMENTS = [
-    case for case in corpus.CASES if case.reader == "tables" and instruments.recognises(case.content)
+    case
+    for case in corpus.CASES
+    if case.reader == "tables" and instruments.recognises(case.content)
 ]
 
 

@@ -36,7 +36,7 @@ _MOST_BENT = 6
 
 def recognises(content: bytes) -> bool:
     """Return whether a file is a text that one of the known measuring programs has exported."""
-    # Without the zeros of UTF-16, the beginnings of these texts, which are ASCII, are alike in all encodings.
+    # These beginnings are ASCII: without the zeros of UTF-16 they are alike in all encodings.
     start = content[: 2 * _LONGEST_START].replace(b"\0", b"")[:_LONGEST_START].decode("latin-1")
     of_others = _XL2 in start[:200] or _is_of_aurora(start) or _is_of_dirac(start)
     return _is_of_rew(start) or of_others

@@ -498,10 +498,28 @@ def _stated_table(sheet: Sheet, options: _Options) -> _Table:
     lines, columns = stated_columns(sheet, options.columns)
     above = [cells for line, cells in sheet.rows if line < lines.start]
     names = [*(above[-1] if above else []), *[""] * len(columns)]
+    for column, own in zip(columns, columns_of(names), strict=False):
+        if own and column.has_values and (says := _contradiction(column, own)):
+            raise DataError(
+                f'{sheet.place}: columns: "{shown(own.header)}" is stated as "{column.meaning}", but '
+                f"its header says {says}. Correct what is wrong, or state - to leave the column out"
+            )
     columns = [replace(c, header=n or c.header) for c, n in zip(columns, names, strict=False)]
     body = [row for row in sheet.rows if row[0] in lines]
     notes = [sheet.note, "columns are as given", *sheet.notes]
     return _Table(sheet, columns, max(len(above) - 1, 0), body, [], notes, options)
+
+
+def _contradiction(column: Column, own: Column) -> str:
+    """Return what a column's own header says otherwise than what is stated; "" if nothing."""
+    parameter = own.parameter
+    if parameter not in ("", OPEN) and column.parameter not in ("", parameter):
+        return parameter_label(parameter)
+    if own.has_band and column.has_band and own.band != column.band:
+        return bands.label(own.band)
+    known = parameter and own.unit and column.unit
+    of_both = [scale_of(parameter, unit) for unit in (own.unit, column.unit)] if known else [1.0]
+    return f"[{own.unit}]" if len({*of_both}) > 1 else ""
 
 
 # -- a proposal of columns
