@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rtcal.io import mesh, units
+import rtcal as rt
+from rtcal.io import geometry_files, mesh, obj, units
 from rtcal.support.errors import DataError
 
 SIZE = np.array([5.0, 4.0, 3.0])
@@ -73,3 +74,58 @@ def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path):
             == "the file states no unit; metres (unit = 1) are assumed: the room is 5 × 4 × 3 m"
         )
         assert not any("states no unit" in note for note in mesh.room(path, unit=1.0).notes)
+
+
+def obj_text(head, length):
+    corners = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in CORNERS / length]
+    faces = [f"usemtl {name}\nf {' '.join(str(k + 1) for k in face)}" for name, face in EVERY]
+    return "\n".join([head, *corners, *faces, ""])
+
+
+def ply_text(head, length):
+    lines = ["ply", "format ascii 1.0", f"comment {head}", "element vertex 8"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += ["element face 6", "property list uchar int vertex_indices", "end_header"]
+    lines += [f"{x:.9g} {y:.9g} {z:.9g}" for x, y, z in CORNERS / length]
+    return "\n".join([*lines, *(f"4 {a} {b} {c} {d}" for _, (a, b, c, d) in EVERY), ""])
+
+
+def stl_text(head, length):
+    rows = [f"solid {head}"]
+    for _, (a, b, c, d) in EVERY:
+        for triangle in ((a, b, c), (a, c, d)):
+            rows += ["facet normal 0 0 0", "outer loop"]
+            rows += [f"vertex {x:.9g} {y:.9g} {z:.9g}" for x, y, z in CORNERS[[*triangle]] / length]
+            rows += ["endloop", "endfacet"]
+    return "\n".join([*rows, "endsolid", ""])
+
+
+@pytest.mark.parametrize(
+    ("ending", "written", "head", "length"),
+    [
+        (".obj", obj_text, "# Exported from a sketch\n# File units = inches", 0.0254),
+        (".obj", obj_text, "# units: Millimeters\r", 0.001),
+        (".obj", obj_text, "# 7 units of furniture, each in a box", None),
+        (".obj", obj_text, "# units: mm\n# File units = inches", None),
+        (".ply", ply_text, "units: cm", 0.01),
+        (".stl", stl_text, "hall UNITS=feet", 0.3048),
+        (".stl", stl_text, "hall", None),
+    ],
+)
+def test_a_unit_in_a_comment_is_that_of_the_file(ending, written, head, length, tmp_path):
+    path = tmp_path / f"room{ending}"
+    path.write_text(written(head, length or 1.0))
+    done = mesh.room(path)
+    assert done.size == pytest.approx(SIZE, rel=1e-6)
+    assert done.volume == pytest.approx(60, rel=1e-6)
+    assert any("no unit" in note for note in done.notes) == (length is None)
+    if ending == ".obj":
+        assert obj.read(path).volume == pytest.approx(60, rel=1e-6)
+
+
+def test_a_room_keeps_the_unit_of_its_mesh(tmp_path, rtcal):
+    path, out = tmp_path / "hall.obj", tmp_path / "room.toml"
+    path.write_text(obj_text("# File units = inches", 0.0254))
+    entries = [f"--catalogue={name}=rough_concrete" for name in FACES]
+    rtcal("import", "catalogue", "--mesh", path, *entries, "--out", out)
+    assert geometry_files.read(rt.Room.from_file(str(out))).volume == pytest.approx(60, rel=1e-6)

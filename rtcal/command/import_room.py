@@ -16,7 +16,7 @@ import click
 
 from rtcal.command import console
 from rtcal.command.files import PROGRAMS
-from rtcal.files.disk import commit, spare
+from rtcal.files.disk import commit, read_bytes, spare
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import as_sentence, rounded, shortened
 from rtcal.support.text import listed as in_a_row
@@ -415,6 +415,8 @@ def _volume_and_surfaces(
 def _with_scene(room: Room, model: Mended, args: Namespace) -> Room:
     """Return the room with its mesh, which is written where the tracers do not read it as it is."""
     from rtcal.acoustics.room import Scene
+    from rtcal.io.mesh import MAX_BYTES
+    from rtcal.io.units import in_comments
 
     mesh, mended = args.mesh, args.mended
     if mended is None:
@@ -422,7 +424,8 @@ def _with_scene(room: Room, model: Mended, args: Namespace) -> Room:
             return room
         as_it_is = all(d.kind == "gap" for d in model.defects) and not model.geometry.leaks
         if as_it_is and Path(mesh).suffix.lower() == ".obj":
-            return room.replace(scene=Scene(mesh=mesh, unit=args.unit or 1.0))
+            unit = args.unit or in_comments(read_bytes(mesh, MAX_BYTES)) or 1.0
+            return room.replace(scene=Scene(mesh=mesh, unit=unit))
         beside = Path(args.out).with_suffix(".obj")
         if beside.resolve() == Path(mesh).resolve():
             beside = beside.with_stem(f"{beside.stem}_mended")

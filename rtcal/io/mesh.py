@@ -45,6 +45,7 @@ __dir__ = __all__.copy
 MAX_BYTES = 2**26
 IFC = ".ifc"
 _Y_UP = (".glb", ".gltf")
+_WITH_COMMENTS = (".obj", ".off", ".ply", ".stl")
 _TURNED = "y points up in the file, so its z became -y"
 _REFUSED = {
     ".skp": "SketchUp's own format; export COLLADA (.dae) from it",
@@ -115,6 +116,8 @@ def read(
         )
     content, path = read_bytes(path, MAX_BYTES), os.fspath(path)
     drawn = READERS[ending](content, path, unit is not None)
+    if ending in _WITH_COMMENTS:
+        drawn.unit = units.in_comments(content)
     rows = [*drawn.faces]
     if not rows:
         raise DataError(f"{path}: the mesh has no face; a room needs at least 4")
@@ -279,7 +282,7 @@ def _by_ezdxf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
     if not faces:
         raise DataError(
             f"{path}: has no 3D face{f' (but {left_out})' if left_out else ''}; in your program, "
-            "convert solids and surfaces to meshes or 3D faces"
+            "explode blocks, and convert solids and surfaces to meshes or 3D faces"
         )
     return _Drawn(
         faces, unit, notes=[f"left out, because they are not faces: {left_out}"] if left_out else []

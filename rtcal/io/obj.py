@@ -8,8 +8,9 @@ The keywords that are read:
 - ``o`` and ``g``: the name of the faces that follow, in place of their material's; "wall", "wall 2"
   and so on.
 
-Comments and lines continued by a backslash are allowed. Texture, normals, curves, material libraries
-and smoothing are ignored. The result is a polyhedron for the tracers: closed, with plane faces.
+A comment may state the unit ("# File units = inches"). Lines continued by a backslash are allowed.
+Texture, normals, curves, material libraries and smoothing are ignored. The result is a polyhedron for
+the tracers: closed, with plane faces.
 
 Source: Wavefront Technologies, Advanced Visualizer Manual, Appendix B1, "Object Files (.obj)".
 """
@@ -22,7 +23,7 @@ from collections import Counter
 
 from rtcal.files.disk import read_bytes
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
-from rtcal.io.units import check_volume
+from rtcal.io.units import check_volume, in_comments
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.checks import text_name
@@ -44,11 +45,14 @@ _IGNORED = frozenset(
 """Texture, normals, curves, material libraries and smoothing."""
 
 
-def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False) -> Polyhedron:
+def read(
+    path: str | os.PathLike[str], *, unit: float | None = None, leaks: bool = False
+) -> Polyhedron:
     """Return the geometry of a room in an OBJ file, whose walls must be closed.
 
     ``path`` is that of the file. ``unit`` is the length of the file's unit in m: 0.001 for a model in
-    mm. If ``leaks`` is True, the walls may have small holes, and the volume lacks what they cut off.
+    mm; by default it is what a comment states, or else 1. If ``leaks`` is True, the walls may have
+    small holes, and the volume lacks what they cut off.
     Raises DataError, which names the file, the line and the rule, or the edge at which the walls do not
     close.
     """
@@ -56,13 +60,15 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0, leaks: bool = False
 
 
 def parse(
-    content: bytes, path: str = "OBJ file", *, unit: float = 1.0, leaks: bool = False
+    content: bytes, path: str = "OBJ file", *, unit: float | None = None, leaks: bool = False
 ) -> Polyhedron:
     """Return the geometry of a room from the content of an OBJ file; see `read`.
 
-    ``content`` is the text as bytes, and ``path`` its name in messages. ``unit`` (by default 1 m) and
-    ``leaks`` (by default False) are those of `read`.
+    ``content`` is the text as bytes, and ``path`` its name in messages. ``unit`` and ``leaks`` (by
+    default False) are those of `read`.
     """
+    if unit is None:
+        unit = in_comments(content) or 1.0
     unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:

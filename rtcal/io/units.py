@@ -55,10 +55,11 @@ OF_DXF: dict[int, float | None] = {
 }
 """Lengths in m of DXF's units by the number in $INSUNITS; None where there is none."""
 
+_METRES = ("metre", "metres", "meter", "meters")
 _WRITTEN = {
-    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), 1.0),
-    "cm": 0.01,
-    "mm": 0.001,
+    **dict.fromkeys(("m", *_METRES), 1.0),
+    **dict.fromkeys(("cm", *(f"centi{m}" for m in _METRES)), 0.01),
+    **dict.fromkeys(("mm", *(f"milli{m}" for m in _METRES)), 0.001),
     **dict.fromkeys(("ft", "feet", "foot", "'"), 0.3048),
     **dict.fromkeys(("in", "inch", "inches", '"'), 0.0254),
 }
@@ -95,6 +96,24 @@ def sides(text: str) -> tuple[tuple[float, float, float], float]:
         checks.positive("side", round(side * unit, 9), "m") for side in numbers(bare, [3], "sides")
     )
     return (x, y, z), unit
+
+
+_COMMENT = re.compile(
+    r"(?:^[ \t]*(?:#|comment\b|solid\b).*|\A.{0,70})\bunits?[ \t]*[:=][ \t]*([a-z]+)\b", re.I | re.M
+)
+"""A unit that SketchUp and others write into a comment of OBJ, OFF or PLY, or into the head of STL."""
+_BEGINNING = 10_000
+
+
+def in_comments(content: bytes) -> float | None:
+    r"""Return the length in m of the unit that comments at the start of a mesh state, or None.
+
+    >>> in_comments(b"# File units = inches\nv 1 2 3"), in_comments(b"v 1 2 3\nv 4 5 6")
+    (0.0254, None)
+    """
+    named = {w.lower() for w in _COMMENT.findall(content[:_BEGINNING].decode("latin-1"))}
+    lengths = {_WRITTEN[name] for name in named if name in _WRITTEN}
+    return lengths.pop() if len(lengths) == 1 else None
 
 
 VOLUME_LIMITS = (1e-3, 2e7)
