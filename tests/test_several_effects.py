@@ -28,6 +28,7 @@ from rtcal.finder.means.problem import (
     log_prior,
     moments,
     observe,
+    posterior_of_sets,
     predict_hypotheses,
     state,
 )
@@ -220,6 +221,56 @@ def test_nothing_is_claimed_where_nothing_is_missing():
     assert found.probabilities["none"] > 0.5
     with pytest.raises(DataError, match='verdict "none"'):
         found.apply()
+
+
+def test_a_family_alone_is_not_called_a_name():
+    """The single search says "family" as well."""
+    coupled = AppliedEffect("coupled room", {"aperture": 10.0, "volume": 400.0, "alpha": 0.05})
+    found = sought(case_with(coupled), ("coupled room", "volume"), most=2)
+    assert found.named == ()
+    assert found.named_families == ("field",)
+    assert found.verdict == "family"
+
+
+def test_an_unknown_effect_is_said_to_be_unknown():
+    """Where the user's odds leave nothing else, no set of the library is called the most probable."""
+    found = sought(case_with(*BOTH), ("volume", "noise floor"), prior={UNKNOWN: 1e40}, most=2)
+    assert found.verdict == "unknown"
+    with pytest.raises(DataError, match='verdict "unknown"'):
+        found.apply()
+
+
+def test_three_effects_are_tried_where_two_do_not_explain_the_measurement():
+    air = AppliedEffect("air", {"temperature": 30.0, "humidity": 8.0})
+    noise = AppliedEffect("noise floor", {"level": -45.0, "record": 2.0})
+    case = case_with(AppliedEffect("volume", {"ratio": 1.7}), air, noise)
+    only = ("volume", "air", "noise floor")
+    assert set(sought(case, only).members) == {*only}
+    assert len(sought(case, only, most=2).members) == 2
+
+
+def test_odds_of_none_are_those_of_no_effect_against_a_poisson_number():
+    """The evidence of sets with one number does not depend on the prior of that number."""
+    few, many = (
+        sought(case_with(), ("volume", "air"), prior={"none": odds}, most=2).numbers
+        for odds in (9.0, 1 / 9)
+    )
+    ratio = (few[0] / few[1]) / (many[0] / many[1])
+    assert ratio == pytest.approx(np.log1p(9) / np.log1p(1 / 9))
+
+
+def test_what_lies_between_the_points_of_a_grid_is_no_second_effect():
+    """The record is 1.5 or 2.5 reverberation times long on the grid."""
+    case = case_with(AppliedEffect("noise floor", {"level": -35.0, "record": 2.0}))
+    some = ("noise floor", "volume", "coupled room", "opening")
+    effects = [e for e in library() if e.name in some]
+    c, prior = compared_case(case, effects), prior_of(case.room, effects, {})
+    of_two = []
+    for each in (c, at_the_points(c)):
+        sets = posterior_of_sets(each, prior, most=2).sets
+        of_two.append(sum(p for names, p in sets.items() if len(names) == 2))
+    assert of_two[0] < 0.05
+    assert of_two[1] > 0.08
 
 
 def test_a_shaded_direct_sound_is_no_second_effect():
