@@ -98,6 +98,14 @@ def test_a_run_of_the_equation_answers_as_without_one(change):
     assert one.probabilities == pytest.approx(other.probabilities, abs=1e-6)
 
 
+def test_run_and_measurement_with_twice_the_time_say_the_same():
+    some = {"without": (), "only": ("opening", "volume")}
+    runs = [values_of(hall(), factor) for factor in (1.0, 2.0)]
+    one, other = (found(with_absorber(run), run, **some) for run in runs)
+    assert one.verdict == other.verdict
+    assert one.score == pytest.approx(other.score, abs=1e-6)
+
+
 def test_what_the_equation_errs_by_is_not_blamed_on_the_room():
     """Eyring is 20 % low where the audience alone absorbs, and programs agree with the measurement."""
     values = values_of(hall(), 1.25)
