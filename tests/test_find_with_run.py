@@ -350,6 +350,23 @@ def test_a_second_run_that_has_what_calibrating_lacks_supports_the_finding(absor
     assert again.uncertainty == made.uncertainty
 
 
+def test_the_noise_of_measurement_and_runs_counts_against_a_second_run(absorber):
+    first = absorber.case.configurations[0]
+
+    def errors(of, levels):
+        u = {p: np.full_like(of.values[p], levels) for p in ("c80", "g")}
+        return replace(of, uncertainty={**of.uncertainty, **u})
+
+    case = replace(
+        absorber.case, configurations=[replace(first, measured=errors(first.measured, 1e-3))]
+    )
+    second = run_of(absorber, effect=True, off=1.0)
+    exact, noisy = (verify(absorber, case, simulated=errors(second, u)) for u in (0.0, 2.0))
+    # In JND of 1 dB, two parameters in six bands each. What was measured is common to both gaps.
+    assert exact.uncertainty < 1e-3
+    assert noisy.uncertainty == pytest.approx(2.0 * np.sqrt((1 - 2 / np.pi) / 12), rel=0.15)
+
+
 def test_instructions_are_in_the_terms_of_the_program(absorber, tmp_path):
     """The list's old coefficients are those of the run; a run with the new ones has the measured T."""
     _, _, files = of_finding.correct(absorber, tmp_path, effect=absorber.names[0])
