@@ -9,6 +9,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, Configuration, recalibrate, verify
+from rtcal.finder.apply import DRAWN_LARGER
+from rtcal.finder.claim import Reason
 from rtcal.finder.effects import IN_RUN, AppliedEffect, Opening
 from rtcal.finder.means import engines
 from rtcal.finder.means.engines import ControlRooms
@@ -18,6 +20,7 @@ from rtcal.finder.verification import residual_map
 from rtcal.report import of_finding
 from rtcal.report.finding_words import without_measuring
 from rtcal.report.verification_words import sentence
+from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import DataError
 from tests.conftest import also, measurement_of
 
@@ -383,6 +386,15 @@ def test_instructions_are_in_the_terms_of_the_program(absorber, tmp_path):
     bare = replace(absorber.case.configurations[0], simulated=None)
     without = replace(absorber, case=replace(absorber.case, configurations=[bare]))
     assert tmp_path / "instructions.txt" not in of_finding.correct(without, tmp_path)[2]
+
+
+def test_what_is_drawn_larger_is_said_where_it_is_drawn(absorber):
+    made = absorber.apply()
+    drawn = Reason(DRAWN_LARGER, {"drawn": 11.0, "size": 10.0})
+    patch = replace(made, notes=(drawn, Reason("surface unknown")))
+    said = " ".join(lines_of(of_finding.instructions(absorber, patch, made.room)))
+    assert said.count("11.00 m²") == 1
+    assert said.index("2. ") < said.index("11.00 m²") < said.index("3. ")
 
 
 def test_a_hint_is_added_and_verified_only_where_it_is_chosen(absorber, tmp_path):
