@@ -226,10 +226,14 @@ alpha = [0.01, 0.5]
     bare = VARIANTS.replace("sigma = [0.1, 0.2]\n", "") + material
     ruled = bare + "[prior]\nrelative = 0.3\nminimum = 0.02\n"
     added = ruled.replace('add = "audience"\nnumber = 40', 'add = "panel"\narea = 4')
-    for text, expected in ((ruled, [0.15, 0.27]), (added, [0.02, 0.15])):
-        (full, *_), _ = read_variants(text, whole)
+    for text, expected, surface in ((ruled, [0.15, 0.27], 0), (added, [0.02, 0.15], 4)):
+        (full, _, fewer), _ = read_variants(text, whole)
         after = full.changes[0].apply(whole)
         assert after.sigma[-1] == pytest.approx(expected)
+        assert after.total_area == whole.total_area + surface
+        assert str(fewer.changes[0]) == 'remove 20 of "persons"'
+    with pytest.raises(DataError, match=r'add = "audience" is an \[\[object\]\]: give its number'):
+        read_variants(VARIANTS.replace("number = 40", "area = 40"), whole)
     with pytest.raises(DataError, match='material "panel" has no sigma'):
         read_variants(bare, whole)
     with pytest.raises(DataError, match='object "audience" has no sigma'):
