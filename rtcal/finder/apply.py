@@ -419,13 +419,14 @@ def corrected_case(case: Case) -> Corrected:
     lost = [n for n in ("surfaces", "dimensions") if getattr(room, n) and not getattr(made, n)]
     if lost:
         notes.append(Reason("no place", {"lost": lost}))
-    if made.volume != room.volume:
-        notes.append(Reason("volume changed", {"now": made.volume, "before": room.volume}))
+    inputs = [("volume", " m³", room.volume, made.volume)]
     for name, was, area in zip(room.materials, room.areas, made.areas, strict=False):
-        if area != was:
-            which = "number" if name in room.pieces else "area"
-            values = {"material": name, "now": float(area), "before": float(was)}
-            notes.append(Reason(f"{which} changed", values))
+        what, unit = ("number", "") if name in room.pieces else ("area", " m²")
+        inputs.append((f'{what} of "{name}"', unit, float(was), float(area)))
+    for what, unit, was, now in inputs:
+        if now != was:
+            values = {"what": what, "unit": unit, "before": was, "now": now}
+            notes.append(Reason("input changed", values))
     model = CaseModel(case, made, stated, after, absent)
     return Corrected(case=case, room=made, notes=tuple(notes), model=model)
 

@@ -83,7 +83,7 @@ class Finding(Result):
     measurements, "added" and "removed" are exchanged and every change has the other sign.
     """
 
-    record_kind: ClassVar[str] = "finding 6"
+    record_kind: ClassVar[str] = "finding 7"
     words_in: ClassVar[str] = WORDS
 
     case: Any
@@ -420,7 +420,7 @@ class Finding(Result):
             return None
         others = [n for n in self.names if n not in (name, UNKNOWN)]
         values = {"probability": self.probabilities[name], "least": CLAIMED, "others": others}
-        return Reason("volume undecided" if others else "volume alone undecided", values)
+        return Reason("volume undecided", values)
 
     def apply(
         self,
@@ -602,6 +602,4 @@ def rivals(f: Finding, best: Candidate | None = None) -> tuple[Candidate, ...]:
 
 def support(f: Finding, best: Candidate) -> Reason:
     """Return a sentence (`Reason`) on how sure an effect is, and what else explains the data."""
-    others = rivals(f, best)
-    values = {"verdict": f.verdict, "best": best, "others": others}
-    return Reason("support" if others else "sole", values)
+    return Reason("support", {"verdict": f.verdict, "best": best, "others": rivals(f, best)})

@@ -5,7 +5,7 @@ Answer, cautions, evidence, notes: in this order for every kind of data. Evidenc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from string import Formatter
 from typing import TYPE_CHECKING, Any
@@ -29,15 +29,14 @@ from rtcal.finder.claim import (
     SAID,
     Candidate,
     Reason,
-    Size,
     amount,
     family_of,
     over_frequency,
 )
-from rtcal.finder.effects import IN_RUN, checked_effects
+from rtcal.finder.effects import IN_RUN, library
 from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
 from rtcal.finder.finding import Finding, feature_names
-from rtcal.finder.means.planning import COSTS, Plan
+from rtcal.finder.means.planning import Plan
 from rtcal.finder.means.recalibration import Recalibrated
 from rtcal.finder.records import (
     ALL,
@@ -70,14 +69,9 @@ _NOTHING = 0.1  # probability that nothing is missing from which the answer stat
 _NEAR = 0.5  # probability over the first candidate's from which another one fits nearly as well
 _STRONG = 4.0  # deviation in standard deviations at which the ground of a number saturates
 _SIZED = 0.25  # probability over the first candidate's from which a text gives a candidate's size
-_SEVERAL = (
-    2  # configurations from which on a text has one table of what deviates much, not one of each
-)
-_INTERVAL = (
-    "90 % interval"  # interval of a size in print, which a table's heading states for all sizes
-)
-_DEVIATION = "Deviation (model minus measurement) in standard deviations of this difference"
 _FEW = 3  # most effects or sources that a sentence lists
+_INTERVAL = "90 % interval"  # of a size in print, which a table's heading states for all sizes
+_DEVIATION = "Deviation (model minus measurement) in standard deviations of this difference"
 NAMES = {
     "porous": "porous absorber",
     "resonator": "Helmholtz resonator",
@@ -92,15 +86,38 @@ NAMES = {
 """Names in print, where they are others than those of the options."""
 
 SENTENCES: dict[str, str] = {
+    # The answer.
+    "differs": "Nothing is identified as missing, but the {who} differs from the measurement, most in "
+    "{most}.",
+    "coefficients suffice": "The uncertainty of the coefficients, together with {error}, can explain "
+    "this difference.",
+    "agrees": "The {who} agrees with the measurement: within the uncertainty of input values, "
+    "measurement and {who}, nothing is found to be missing from the {lacks}.",
+    "agrees at pairs": "The {who} agrees with the measurement in the mean over the pairs: at every "
+    "pair within the uncertainty of input values, measurement and simulator, nothing is found to be "
+    "missing from the {lacks}.",
+    "weak": "Nothing is identified; {best} is only a weak indication.",
+    "weak, nothing likelier": "Nothing is identified: the most probable explanation is that nothing is "
+    "missing ({nothing:p}), and the most probable effect is {best}.",
+    "group": 'The data identify the group of effects "{family}" ({probability:p}), but not which '
+    "effect of it.",
+    "one of the library": "Of the effects in the library, {kind} explains most ({share:p} of the "
+    "rest){place}.",
+    "more differs": "This does not explain everything that was measured: something else also differs "
+    "from the model ({probability:p}).",
+    "most is unknown": "Something is missing that no effect of the library explains ({probability:p}).",
+    "several": "More than one effect is missing ({several:p}); most likely together: {names:and} "
+    "({together:p}).",
     # Why something is not identified, or not by its name.
     "nothing likely": "That nothing is missing has a probability of {probability:p}, so nothing is "
     "identified.",
     "no effect likely": "No effect and no group of effects has a probability of {least:p}, so nothing "
     "is identified.",
-    LEADING: "T is {factor:.2g} times the model's: look for a mistake in volume, "
-    "areas, coefficients and units first.",
-    MISTAKE: "T is {factor:.2g} times the model's: look for a mistake in volume, areas, "
-    "coefficients and units before you believe any effect.",
+    **dict.fromkeys(
+        (LEADING, MISTAKE),
+        "T is {factor:.2g} times the model's: look for a mistake in volume, areas, coefficients and "
+        "units first.",
+    ),
     "not explained": "{effect:name} fits best of all effects and does not explain the measurement: "
     "with it, the differences are {times:.1f} times as large as all uncertainties allow. Check volume, "
     "areas, coefficients, units and bands.",
@@ -111,8 +128,8 @@ SENTENCES: dict[str, str] = {
     "{probability:p}).",
     "contradicted": "Decay shape, level and the other configurations speak against {effect:name} "
     "(odds of {nats:odds}).",
-    "size unbounded": "The measurement does not bound the size of {effect:name}: {size}; any {other} "
-    "size fits as well.",
+    "size unbounded": "The measurement does not bound the size of {effect:name}: {size.words}; any "
+    "{other} size fits as well.",
     "too large": "{effect:name} would take {share:p} of all surfaces; a size above {most:p} is not "
     "plausible.",
     "below Schroeder": "The odds for {effect:name} rest on the data at {bands:and}, below the "
@@ -156,6 +173,18 @@ SENTENCES: dict[str, str] = {
     "look at the room": "Find out in the room, or from its documents, whether {effect:name} or "
     "{rival:name} is the cause. Both predict nearly the same values of every parameter, so measuring "
     "a further parameter would not distinguish them.",
+    "simulate twice": "Simulate with half and with twice the scattering coefficients and search with "
+    "each run, which shows what is missing whatever the program scatters. Draw a second room if there "
+    "is one.",
+    "calibrate program": "Calibrate your program (`rtcal loop start` with the same --simulated).",
+    "calibrate": "Calibrate the room (`rtcal {command}`).",
+    "without run": "Search again without the run, or with tables of means over positions, where "
+    "--program names the kind of program.",
+    "one more receiver": "Measure at one more receiver: `rtcal plan` proposes where.",
+    "look on surfaces": "Look for the effect on {surfaces:quoted}. If you do not find it there, "
+    "measure at one more receiver: `rtcal plan` proposes where.",
+    "look for it": "Look in the room for {effect:name}. If it can be removed, measure once with it and "
+    "once without it.",
     # Why nothing is added to the model, or not without a choice.
     "nothing to add": "Nothing to add: nothing is identified as missing.",
     "too weak to add": "Nothing to add: nothing was detected. {best:name} is only a weak indication "
@@ -164,7 +193,7 @@ SENTENCES: dict[str, str] = {
     "none of the library": "Nothing to add: no effect of the library explains what is missing "
     "(verdict unknown).",
     "no surface": "Nothing to add: the effect that was found is not on a surface.",
-    "second room": "{best:name}: {why}",
+    "second room": "{best:name}: {why}.",
     "no change to add": "Nothing to add: no change was identified.",
     "climate changed": "Nothing to add: the climate of the air changed. Enter temperature and humidity "
     "in the room's file.",
@@ -174,13 +203,9 @@ SENTENCES: dict[str, str] = {
     "surface has a probability of less than {least:p}. Candidates: {candidates:options}. Choose one: "
     "effect = NAME, or its place: at = X,Y,Z.",
     "volume undecided": "effect = volume has a probability of {probability:p}, but rtcal changes the "
-    "room's volume only from {least:p} upwards. Measure the volume and enter it in the room's file, "
-    "or choose another effect: {others:or}.",
-    "volume alone undecided": "effect = volume has a probability of {probability:p}, but rtcal "
-    "changes the room's volume only from {least:p} upwards. Measure the volume and enter it in the "
-    "room's file.",
-    "support": "{best:spelt out}, which these data do not distinguish from {others:likeliest}",
-    "sole": "{best:spelt out}",
+    "room's volume only from {least:p} upwards. Measure the volume and enter it in the room's "
+    "file{others:else}.",
+    "support": "{best:name} (probability {best.probability:p}){others:rivals}",
     "not predicted": "considering their uncertainty, these data give odds of {nats:odds} for it, less "
     "than the {least:odds} required",
     # What to know of the data and of the search.
@@ -210,11 +235,8 @@ SENTENCES: dict[str, str] = {
     "bands or band by band (odds of {nats:odds}), and is weighted accordingly. If its "
     'reference is uncertain, name it "level".',
     "lobes": "Directional sources explain the measurement better than anything that may be missing "
-    "from the room (odds of {nats:odds}), so the sources are not taken as omnidirectional. "
-    "Enter their [directivity]; an omnidirectional source has the index 0.",
-    "lobes possible": "Directional sources may explain the measurement better than anything that may "
-    "be missing from the room (odds of {nats:odds}), and are weighted by their probability. Enter "
-    "their [directivity]; an omnidirectional source has the index 0.",
+    "from the room (odds of {nats:odds}), and are weighted by their probability. Enter their "
+    "[directivity]; an omnidirectional source has the index 0.",
     "index off": "Other directivities explain the measurement better than anything that may be missing "
     "from the room (odds of {nats:odds}), so the directivity index of {sources:few} is not "
     "relied on. Enter measured balloons to use all parameters.",
@@ -222,6 +244,8 @@ SENTENCES: dict[str, str] = {
     "so the directivity index of {sources:few} is not relied on. Enter measured balloons to use all "
     "parameters.",
     "no geometry": "T alone does not show on which surface something changed.",
+    "no directivity": "The directivity of {sources:few} is not given, so no surface is identified. "
+    "Give every source a directivity, with index = 0 for an omnidirectional one.",
     # What could be measured next.
     "EDT and T30": "EDT and T30",
     "C80": "C80",
@@ -231,8 +255,6 @@ SENTENCES: dict[str, str] = {
     "covered": '{thickness:.0f} mm mineral wool on "{material}"',
     "removed": "an emptied room, openings closed",
     "planned": 'configuration "{configuration}"',
-    "no directivity": "The directivity of {sources:few} is not given, so no surface is identified. "
-    "Give every source a directivity, with index = 0 for an omnidirectional one.",
     # What a corrected room does not hold, and what was assumed for it.
     "decay not in a room": "{effect:name}: a room's file has surfaces and air only.",
     "air of no climate": "{effect:name}: no temperature and humidity give the air attenuation that "
@@ -247,9 +269,7 @@ SENTENCES: dict[str, str] = {
     "speed of sound": "The speed of sound: the model has {model:.1f} m/s, and the room, by its air, "
     "{room:.1f} m/s, so that its T differs by {by:+.1f} %.",
     "no place": "The {lost:and}: they do not have the areas or the volume that were found.",
-    "volume changed": "The input volume: it was {before:.4g} m³ and is now {now:.4g} m³.",
-    "area changed": 'The input area of "{material}": it was {before:.4g} m² and is now {now:.4g} m².',
-    "number changed": 'The input number of "{material}": it was {before:.4g} and is now {now:.4g}.',
+    "input changed": "The input {what}: it was {before:.4g}{unit} and is now {now:.4g}{unit}.",
     "patch too large": 'A patch of {patch:.3g} m² does not fit on "{surface}" of {area:.3g} m²: the '
     "whole surface gets the new material.",
     "patch drawn larger": "The patch has {drawn:.2f} m² in the mesh instead of the {size:.3g} m² that "
@@ -273,9 +293,41 @@ SENTENCES: dict[str, str] = {
     "still missed": "with it, the model still deviates from these data by {gap:.2f} JND on average",
     "grows": "the deviation of {quantity} grows from {before:.2f} to {after:.2f} JND",
     "nothing claimed": "no effect and no group of effects is identified",
+    # What else is known of the candidates.
+    "changes too": "A change of the climate explains a part of the change (probability "
+    "{probability:p}).",
+    "by seed": "The odds are near the required ones. They vary with the simulator's random numbers by "
+    "a factor of {factor:.1f}: search with another --seed as well.",
+    "common error": "If the coefficients have a common error, the room has {low:.2f} to {high:.2f} "
+    "times the absorption area of the input, by band: look for another source of the coefficients.",
+    "not judged": "{effect:name} is not judged, because {why}.",
+    "stands for it": "{effect:name} is not judged, because {why}. If it is there, {others:or} may be "
+    "identified in its place.",
+    "evidence": "In the mean over all effects, the data{of} give {given} that {which}. A detection "
+    'requires {required}. The verdict in the files is "{verdict}"{meaning}.',
+    "program errs": "The program is assumed to err as much as the reference simulations do, in "
+    "addition to the errors of the model.",
+    "noisy value": "A single noisy value is the better explanation (odds of {nats:odds}).",
+    "by means": "The means over positions alone give odds of {nats:odds} that something {what}.",
+    # What could be measured, as a plan says it.
+    "settled": "Measure nothing further: the data already settle which effects are there.",
+    "propose": "Measure next: {what}. In {cost:g} h, this removes {share} of the uncertainty about "
+    "what is missing{best}. So far, the uncertainty is that of {number:.1f} equally probable effects.",
+    "in order": "Best order, with the uncertainty that each measurement removes after those before it: "
+    "{order}.",
+    "detectable": "If one effect alone were missing, {measured:and} would detect {shown} of {number} "
+    "effects (odds by the data of at least {nats:odds}). Each effect has the size that changes T by "
+    "{change:g} % in one band, or as much as it can. The last column counts the other effects that fit "
+    "as well (odds below {nats:odds}{more}).",
+    "no receiver": "Measure no further receiver: no surfaces are in question.",
+    "plan others": "To plan other measurements, name a case or a measurement of means over positions.",
+    "receiver": "Measure next with a receiver at {at} and source {source}. Of the positions that were "
+    "tried, it is expected to distinguish {surfaces:quoted} best: as well as {pairs:.1f} of the "
+    "{number} measured pairs.",
+    "not enough": "All measured pairs together do not distinguish them, so one more may not be enough.",
 }
-"""The sentence of each code of a `rtcal.finder.claim.Reason`; `_Forms` has the forms of its values."""
-
+"""The sentence of each code of a `rtcal.finder.claim.Reason`; `_FORMS` has the forms of its values.
+What does not end with a point stands within another sentence."""
 
 _CHECK = "look it up in the documents of the room, or measure it directly"
 CHECKS = {
@@ -294,67 +346,29 @@ CHECKS = {
 """How an effect is confirmed that cannot be taken out of the room; `_CHECK` for any other."""
 
 
-_CLAUSES = (
-    *("support", "sole", "not predicted", "gains little", "misses", "halves differ"),
-    "little left",
-    *("still missed", "grows", "nothing claimed"),
-    *COSTS,
-)
-"""Codes whose words stand within another sentence."""
-
-
+USE = {
+    "supported": "Use the corrected model for T and level, not the calibration without the effect. Do "
+    "not quote its coefficients before the effect is confirmed.",
+    "not tested": "Measure C80 or G, or a second configuration, before you use the corrected model, "
+    "because the finding was fitted to all that was measured.",
+    "unproven": "Confirm the effect before the corrected model is used: measure with it and without "
+    "it, or look at the room, because these measurements neither confirm it nor rule it out.",
+    "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
+}
+"""What may be done with the corrected model, by verification."""
 _ORIGINS = {
     "stated": "as given",
     "made": "estimated from scatter over pairs, theory and reproducibility, because none is given",
 }
 """Where uncertainties come from."""
-
-
-class _Forms(Formatter):
-    """The forms of values in `SENTENCES`: probabilities, odds, effects, sizes and lists."""
-
-    def format_field(self, value: Any, form: str) -> str:
-        if form == "p":
-            return percent(value)
-        if form == "odds":
-            return odds(value)
-        if form == "name":
-            return called(value) if isinstance(value, str) else named(value)
-        if form in ("few", "and", "or"):
-            names = [called(v) if isinstance(v, str) else likeliness(v) for v in value]
-            return first_of(names, _FEW) if form == "few" else listed(names, last=form)
-        if form == "spelt out":
-            return f"{named(value)} (probability {percent(value.probability)})"
-        if form == "likeliest":
-            return first_of([likeliness(v) for v in value], _FEW)
-        if form == "check":
-            return CHECKS.get(value, _CHECK)
-        if form == "options":  # with the names that an option takes
-            some = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in value]
-            return listed([f"{name} ({percent(p)})" for name, p in some], last="or")
-        if form == "origins":
-            every = [(names, _ORIGINS[k]) for k, names in value.items() if names]
-            return "; that of ".join(f"{listed(names)} is {origin}" for names, origin in every)
-        if form == "unexplained":
-            return unexplained(value)
-        if form == "where":
-            return bands.where(*value)
-        if form == "range":
-            low, high = f"{min(value):.0f}", f"{max(value):.0f}"
-            return f"{low} %" if low == high else f"{low} to {high} %"
-        if form == "gains":
-            return first_of([f"{source} (by {g:+z.1f} dB)" for source, g in value.items()], _FEW)
-        if isinstance(value, Size):
-            return value.words
-        if isinstance(value, Candidate):
-            return likeliness(value)
-        return str(super().format_field(value, form))
-
-
-def sentence(reason: Reason) -> str:
-    """Return the sentence of a reason."""
-    words = _Forms().vformat(SENTENCES[reason.code], (), reason.values)
-    return words if reason.code in _CLAUSES else words[:1].upper() + words[1:]
+_VERDICTS = {
+    "named": ": one effect is identified",
+    "family": ": a group of effects is identified",
+    "ambiguous": ": detected, but not identified",
+    "hint": ": a weak indication",
+    "unknown": ": detected, but not explained",
+}
+"""What a verdict says, where its name alone does not."""
 
 
 def odds(nats: float) -> str:
@@ -385,38 +399,30 @@ def percent(probability: float) -> str:
     return f"{100 * probability:.0f} %"
 
 
-def called(effect: str) -> str:
-    """Return the printed name of an effect.
+def called(effect: str | Candidate) -> str:
+    """Return the printed name of an effect, or of a candidate with its place.
 
     >>> called("porous"), called("noise floor"), called("added porous")
     ('porous absorber', 'noise floor', 'added porous absorber')
+    >>> called(Candidate(effect="membrane", family="", probability=0.5, surface="west"))
+    'panel absorber on "west"'
     """
+    if isinstance(effect, Candidate):
+        return f"{called(effect.shown_as)} {effect.where}".rstrip()
     side, _, kind = effect.partition(" ")
     if side in (ADDED, REMOVED) and kind:
         return f"{side} {'unknown absorber' if kind == UNKNOWN else NAMES.get(kind, kind)}"
     return NAMES.get(effect, effect)
 
 
-def named(c: Candidate) -> str:
-    """Return the printed name of a candidate's effect, with its place.
-
-    >>> named(Candidate(effect="membrane", family="", probability=0.5, surface="west"))
-    'panel absorber on "west"'
-    """
-    return f"{called(c.shown_as)} {c.where}".rstrip()
+def likely(effect: str | Candidate, probability: float | None = None) -> str:
+    """Return a name with its probability, by default that of the candidate."""
+    if isinstance(effect, Candidate) and probability is None:
+        probability = effect.probability
+    return called(effect) if probability is None else f"{called(effect)} ({percent(probability)})"
 
 
-def likely(name: str, probability: float) -> str:
-    """Return a name with its probability."""
-    return f"{called(name)} ({percent(probability)})"
-
-
-def likeliness(c: Candidate) -> str:
-    """Return the name of a candidate with its probability."""
-    return likely(named(c), c.probability)
-
-
-def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
+def choice(some: Sequence[tuple[str | Candidate, float]], lead: str = "most likely") -> str:
     """Return candidates with their probabilities in words.
 
     ``some`` are names and probabilities, the most probable first. ``lead`` begins the text.
@@ -424,26 +430,80 @@ def choice(some: Sequence[tuple[str, float]], lead: str = "most likely") -> str:
     >>> choice([("furniture", 0.45), ("opening", 0.39)])
     'most likely furniture (probability 45 %), but opening (39 %) fits nearly as well'
     """
-    first, *others = some
-    near = [likely(*one) for one in others if one[1] >= _NEAR * first[1]]
-    far = [likely(*one) for one in others if one[1] < _NEAR * first[1]]
-    said = f"{lead} {called(first[0])} (probability {percent(first[1])})"
+    (first, most), *others = some
+    near = [likely(*one) for one in others if one[1] >= _NEAR * most]
+    far = [likely(*one) for one in others if one[1] < _NEAR * most]
+    said = f"{lead} {called(first)} (probability {percent(most)})"
     said += f", but {listed(near)} fit{'s' * (len(near) == 1)} nearly as well" if near else ""
-    if far:
-        said += f"; less likely {'are' if far[1:] else 'is'} {listed(far)}"
-    return said
+    return said + (f"; less likely {'are' if far[1:] else 'is'} {listed(far)}" if far else "")
 
 
 def unexplained(names: Sequence[str]) -> str:
     """Return in words that the effects with these names do not explain the measurement.
 
     >>> unexplained(["air"]), unexplained(["opening", "porous", "curtain", "people"])
-    ('air does not explain the data', 'none of the effects that were tried explains the data')
+    ('air does not explain the data', 'no effect that was tried explains the data')
     """
     if len(names) > _FEW:
-        return "none of the effects that were tried explains the data"
-    some = listed([called(name) for name in names])
-    return f"{some} {'does' if len(names) == 1 else 'do'} not explain the data"
+        return "no effect that was tried explains the data"
+    return f"{listed([*map(called, names)])} {'does' if len(names) == 1 else 'do'} not explain the data"
+
+
+def quoted(names: Sequence[str], last: str = "and") -> str:
+    """Return names in quotes, as a sentence lists them."""
+    return listed([f'"{name}"' for name in names], last=last)
+
+
+def _options(some: Sequence[Candidate | tuple[str, float]]) -> str:
+    """Return candidates by the names that an option takes."""
+    every = [(v.title, v.probability) if isinstance(v, Candidate) else v for v in some]
+    return listed([f"{name} ({percent(p)})" for name, p in every], last="or")
+
+
+def _range(values: Sequence[float]) -> str:
+    ends = dict.fromkeys([f"{min(values):.0f}", f"{max(values):.0f}"])
+    return f"{' to '.join(ends)} %"
+
+
+_FORMS: Mapping[str, Callable[[Any], str]] = {
+    "p": percent,
+    "odds": odds,
+    "name": called,
+    "and": lambda some: listed([*map(likely, some)]),
+    "or": lambda some: listed([*map(likely, some)], last="or"),
+    "few": lambda some: first_of([*map(likely, some)], _FEW),
+    "else": lambda some: f", or choose another effect: {_FORMS['or'](some)}" if some else "",
+    "rivals": lambda some: (
+        f", which these data do not distinguish from {_FORMS['few'](some)}" if some else ""
+    ),
+    "check": lambda effect: CHECKS.get(effect, _CHECK),
+    "options": _options,
+    "quoted": quoted,
+    "origins": lambda of: "; that of ".join(
+        f"{listed(names)} is {_ORIGINS[k]}" for k, names in of.items() if names
+    ),
+    "unexplained": unexplained,
+    "where": lambda of: bands.where(*of),
+    "range": _range,
+    "gains": lambda of: first_of([f"{name} (by {g:+z.1f} dB)" for name, g in of.items()], _FEW),
+}
+"""The forms of values in `SENTENCES`: probabilities, odds, effects, sizes and lists."""
+
+
+class _Words(Formatter):
+    def format_field(self, value: Any, form: str) -> str:
+        return _FORMS[form](value) if form in _FORMS else str(super().format_field(value, form))
+
+
+def say(code: str, **values: Any) -> str:
+    """Return the sentence of a code, with values in its slots."""
+    words = _Words().vformat(SENTENCES[code], (), values)
+    return words[:1].upper() + words[1:] if words.endswith(".") else words
+
+
+def sentence(reason: Reason) -> str:
+    """Return the sentence of a reason."""
+    return say(reason.code, **reason.values)
 
 
 # The answer.
@@ -452,13 +512,16 @@ def unexplained(names: Sequence[str]) -> str:
 def headline(f: Finding) -> list[str]:
     """Return the answer in sentences, the first alone is enough; a doubt about T leads it."""
     answer, *more = _ANSWERS[f.kind](f)
-    if f.leading is not None and f.verdict != "none":
+    if f.leading is not None and f.verdict != NONE:
         answer = f"{f.leading} If there is no such mistake: {answer}"
-    known = f.verdict == "none" or (f.verdict == "hint" and _nothing_likelier(f))
-    if not known and f.probabilities.get(NONE, 0.0) >= _NOTHING:
-        what = "changed" if f.kind == "states" else "is missing"
-        more.append(f"The probability that nothing {what} is {percent(f.probabilities[NONE])}.")
+    known = f.verdict == NONE or (f.verdict == "hint" and _nothing_likelier(f))
+    if not known and (nothing := f.probabilities.get(NONE, 0.0)) >= _NOTHING:
+        more.append(f"The probability that nothing {_missing(f)} is {percent(nothing)}.")
     return [answer, *more]
+
+
+def _missing(f: Finding) -> str:
+    return "changed" if f.kind == "states" else "is missing"
 
 
 def title(f: Finding) -> str:
@@ -468,8 +531,7 @@ def title(f: Finding) -> str:
 
 def name_of(f: Finding, effect: str) -> str:
     """Return the name in print of an effect, with the place of its candidate."""
-    found = f.candidate(effect)
-    return called(effect) if found is None else named(found)
+    return called(f.candidate(effect) or effect)
 
 
 def absorbs(change: Array, end: str = "") -> str:
@@ -482,150 +544,54 @@ def absorbs(change: Array, end: str = "") -> str:
     'The room absorbs 40 % more than the model (90 % interval 20 to 60 %), rising with frequency'
     """
     mean, *ends = 100 * np.abs(change.mean(1))
-    more = "more" if change[0].mean() > 0 else "less"
+    low, high = sorted(ends)
+    by, interval = f"{mean:.0f} %", f" ({_INTERVAL} {low:.0f} to {high:.0f} %)"
     if end:
-        bound = min(ends) if end == "least" else max(ends)
-        said = f"at {end} {bound:.0f} % {more} than the model"
-    else:
-        said = f"{mean:.0f} % {more} than the model "
-        said += f"(90 % interval {min(ends):.0f} to {max(ends):.0f} %)"
-    return f"The room absorbs {said}, {over_frequency(change[0])}"
+        by, interval = f"at {end} {low if end == 'least' else high:.0f} %", ""
+    more = "more" if change[0].mean() > 0 else "less"
+    trend = over_frequency(change[0])
+    return f"The room absorbs {by} {more} than the model{interval}, {trend}"
 
 
 def _of_means(f: Finding) -> list[str]:
     if len(f.members) > 1 or (f.named and f.named != f.members):
         return _of_several(f)
-    if f.verdict == "none":
+    if f.verdict == NONE:
         return _nothing_missing(f)
-    best = f"{title(f)} ({percent(f.probabilities.get(str(f.best_effect), 0.0))})"
     if f.verdict == "hint":
         return [str(reason) for reason in f.reasons if _leads(f, reason)] or [_weak(f)]
     if f.verdict == UNKNOWN:
-        library = {effect.name for effect in checked_effects(None)}
-        whole = library <= {*f.effects, *f.not_judged}
-        which = (
-            "no effect of the library explains the data" if whole else unexplained(tuple(f.effects))
-        )
-        return [f"Something is missing from the model: {which}."]
-    subject = _contradiction(f)
-    if f.verdict != "ambiguous" and f.best is not None and f.best.absorption is not None:
-        subject = absorbs(f.best.absorption, f.best.end)
-    some = [(named(c), f.probabilities.get(c.effect, 0.0)) for c in f.candidates]
+        return [f"Something is missing from the model: {unexplained(tuple(f.effects))}."]
+    some = [(c, f.probabilities.get(c.effect, 0.0)) for c in f.candidates]
+    cause = f"The cause is {choice(some)}."
     if f.verdict == "ambiguous":
-        return [f"{subject}, but the data do not show what. {_cause(some)}"]
+        return [f"{_contradiction(f)}, but the data do not show what. {cause}"]
+    best, subject = f.best, _contradiction(f)
+    if best is not None and best.absorption is not None:
+        subject = absorbs(best.absorption, best.end)
     if f.verdict == "family":
-        return [f"{subject}. {_cause(some)}", _group(f)]
+        return [f"{subject}. {cause}", _group(f)]
+    probability = f.probabilities.get(str(f.best_effect), 0.0)
     if f.best_effect == COEFFICIENTS:
-        return [
-            f"The input coefficients have a common error ({percent(f.probabilities[COEFFICIENTS])})."
-        ]
-    return [f"{subject}: {best}."]
-
-
-def _cause(some: Sequence[tuple[str, float]]) -> str:
-    """Return a sentence on the most probable cause and the others that are likely."""
-    return f"The cause is {choice(some)}."
+        return [f"The input coefficients have a common error ({percent(probability)})."]
+    return [f"{subject}: {title(f)} ({percent(probability)})."]
 
 
 def _group(f: Finding) -> str:
     """Return the group of effects that is identified, where no effect is."""
-    group = f'"{f.family}" ({percent(f.families.get(str(f.family), 0.0))})'
-    return f"The data identify the group of effects {group}, but not which effect of it."
+    return say("group", family=f.family, probability=f.families.get(str(f.family), 0.0))
 
 
 def _weak(f: Finding) -> str:
     """Return the answer of a hint: the most probable candidate, after what is likelier than it."""
     best = likely(*next(one for one in f.probabilities.items() if one[0] != NONE))
-    if not _nothing_likelier(f):
-        return f"Nothing is identified; {best} is only a weak indication."
-    return (
-        "Nothing is identified: the most probable explanation is that nothing is missing "
-        f"({percent(f.probabilities[NONE])}), and the most probable effect is {best}."
-    )
+    code = "weak, nothing likelier" if _nothing_likelier(f) else "weak"
+    return say(code, best=best, nothing=f.probabilities.get(NONE, 0.0))
 
 
 def _leads(f: Finding, reason: Reason) -> bool:
     """Return whether a reason is the answer: the program's error, if no less likely than nothing."""
     return reason.code == OWN_FIELD and reason.values["probability"] >= f.probabilities[NONE]
-
-
-def without_measuring(f: Finding) -> str:
-    """Return the next step of a finding that needs no measurement, such as calibration; "" for none."""
-    if any(reason.code == OWN_FIELD for reason in f.reasons):
-        return (
-            "Simulate with half and with twice the scattering coefficients and search with each run, "
-            "which shows what is missing whatever the program scatters. Draw a second room if there is "
-            "one."
-        )
-    if f.verdict != NONE or not f.differs:
-        return ""
-    if f.kind != "states" and f.case.has_run:
-        return "Calibrate your program (`rtcal loop start` with the same --simulated)."
-    command = "fit" if f.kind == "positions" else "calibrate"
-    return f"Calibrate the room (`rtcal {command}`)."
-
-
-USE = {
-    "supported": "Use the corrected model for T and level, not the calibration without the effect. Do "
-    "not quote its coefficients before the effect is confirmed.",
-    "not tested": "Measure C80 or G, or a second configuration, before you use the corrected model, "
-    "because the finding was fitted to all that was measured.",
-    "unproven": "Confirm the effect before the corrected model is used: measure with it and without "
-    "it, or look at the room, because these measurements neither confirm it nor rule it out.",
-    "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
-}
-"""What may be done with the corrected model, by verification."""
-
-
-def next_step(f: Finding, verification: Verification | None = None) -> str:
-    """Return the next step, a measurement or not, in a sentence; "" where nothing is left to do."""
-    if step := without_measuring(f):
-        return step
-    if f.advice is not None:
-        return str(f.advice)
-    if f.kind != "positions" or f.verdict == NONE or f.best is None:
-        return ""
-    if f.verdict == "hint":
-        if f.case.has_run:
-            return (
-                "Search again without the run, or with tables of means over positions, where --program "
-                "names the kind of program."
-            )
-        return "Measure at one more receiver: `rtcal plan` proposes where."
-    if verification is not None and not (verification.misses or verification.verdict == "unproven"):
-        return USE[verification.verdict]
-    if f.likely_surfaces and f.surface is None:
-        names = listed([f'"{name}"' for name in f.likely_surfaces])
-        return (
-            f"Look for the effect on {names}. If you do not find it there, measure at one more "
-            "receiver: `rtcal plan` proposes where."
-        )
-    what = f.likeliest or f.best
-    return (
-        f"Look in the room for {named(what)}. If it can be removed, measure once with it and once "
-        "without it."
-    )
-
-
-def first_step(f: Finding, verification: Verification | None = None) -> str:
-    """Return the next step, after the check of what a caution calls a likely typing error."""
-    step, checked = next_step(f, verification), listed([*dict.fromkeys(_mistyped(f))])
-    if not step or not checked:
-        return step
-    return f"First check {checked}. If nothing is mistyped, {step[:1].lower()}{step[1:]}"
-
-
-def _mistyped(f: Finding) -> list[str]:
-    """Return the input that may be mistyped, as the cautions name it."""
-    room = f.case.room
-    doubts = [
-        doubt
-        for measured in _measured(f)
-        for doubt in marks.of_input(
-            room, measured.in_bands(room.centre_frequencies).reverberation_time
-        )
-    ]
-    return [doubt.checked for doubt in doubts if doubt.is_error]
 
 
 def _nothing_likelier(f: Finding) -> bool:
@@ -635,49 +601,42 @@ def _nothing_likelier(f: Finding) -> bool:
 
 def _nothing_missing(f: Finding) -> list[str]:
     """Return that nothing is missing, and whether model or run agree with the measurement."""
-    program, at_pairs = f.case.has_run, f.kind == "positions"
+    who, lacks = ("program", "room") if f.case.has_run else ("model", "model")
     off = [str(n) for n in f.notes if isinstance(n, Reason) and n.code == EQUATION_OFF][:1]
-    who = "program" if program else "model"
-    if f.differs:
-        _, most = max(map(_largest, f.comparisons))
-        open_ = (
-            "scattering" if at_pairs else f"the error of the {'program' if program else 'equation'}"
-        )
-        return [
-            f"Nothing is identified as missing, but the {who} differs from the measurement, most in "
-            f"{most}.",
-            "The uncertainty of the coefficients, together with "
-            f"{open_}, can explain this difference.",
-            *off,
-        ]
-    return [
-        *off,
-        f"The {who} agrees with the measurement{' in the mean over the pairs' * at_pairs}: "
-        f"{'at every pair ' * at_pairs}within the uncertainty of input values, measurement and "
-        f"{'simulator' if at_pairs else who}, nothing is found to be missing from the "
-        f"{'room' if program else 'model'}.",
-    ]
+    if not f.differs:
+        agrees = "agrees at pairs" if f.kind == "positions" else "agrees"
+        return [*off, say(agrees, who=who, lacks=lacks)]
+    error = f"the error of the {'program' if f.case.has_run else 'equation'}"
+    error = "scattering" if f.kind == "positions" else error
+    _, most = max(map(_largest, f.comparisons))
+    return [say("differs", who=who, most=most), say("coefficients suffice", error=error), *off]
+
+
+def _largest(c: Comparison) -> tuple[float, str]:
+    """Return the largest deviation that is noticed, in JND, and its words; 0 where all agrees."""
+    each = {p: np.where(c.disagrees[p], off, 0.0) for p, off in c.deviation.items()}
+    p = max(each, key=lambda p: np.abs(each[p]).max())
+    k = int(np.argmax(np.abs(each[p])))
+    at = bands.label(c.run.room.centre_frequencies[k])
+    return abs(each[p][k]), f"{parameter_label(p)} at {at} by {each[p][k]:+.1f} JND"
 
 
 def _of_several(f: Finding) -> list[str]:
     """Return the claims about effects, families and sets of families; what is likely without one."""
-    some = [likely(n, f.probabilities[n]) for n in f.members]
     if f.verdict == "ambiguous":
+        some = [likely(n, f.probabilities[n]) for n in f.members]
         said = [f"Something is missing from the model; most likely {listed(some)}."]
-        if f.probabilities.get(UNKNOWN, 0.0) > max(f.probabilities[n] for n in f.members):
-            beyond = percent(f.probabilities[UNKNOWN])
-            said.append(f"Something is missing that no effect of the library explains ({beyond}).")
+        beyond = f.probabilities.get(UNKNOWN, 0.0)
+        if beyond > max(f.probabilities[n] for n in f.members):
+            said.append(say("most is unknown", probability=beyond))
         return said
     of_named = {family_of(n, f.effects) for n in f.named}
     identified = [likely(n, f.probabilities[n]) for n in f.named]
     identified += [likely(n, f.families[n]) for n in f.named_families if n not in of_named]
     said = [f"{_contradiction(f)}: {listed(identified)}."] if identified else []
-    if f.named_set:
-        several, together = percent(sum(f.numbers[2:])), percent(f.family_sets[f.named_set])
-        said.append(
-            f"More than one effect is missing ({several}); most likely together: "
-            f"{listed(f.named_set)} ({together})."
-        )
+    if names := f.named_set:
+        several, together = sum(f.numbers[2:]), f.family_sets[names]
+        said.append(say("several", several=several, names=names, together=together))
     return said
 
 
@@ -693,15 +652,6 @@ def _contradiction(f: Finding) -> str:
     return "An input value of the model is off" if off else "Something is missing from the model"
 
 
-def _largest(c: Comparison) -> tuple[float, str]:
-    """Return the largest deviation that is noticed, in JND, and its words; 0 where all agrees."""
-    each = {p: np.where(c.disagrees[p], off, 0.0) for p, off in c.deviation.items()}
-    p = max(each, key=lambda p: np.abs(each[p]).max())
-    k = int(np.argmax(np.abs(each[p])))
-    at = bands.label(c.run.room.centre_frequencies[k])
-    return abs(each[p][k]), f"{parameter_label(p)} at {at} by {each[p][k]:+.1f} JND"
-
-
 def _at_positions(f: Finding) -> list[str]:
     if f.best is None:
         return _nothing_missing(f)
@@ -711,13 +661,10 @@ def _at_positions(f: Finding) -> list[str]:
     if f.verdict == UNKNOWN:
         said = ["Something differs from the model that no effect of the library explains."]
         if f.likeliest is not None:
-            alike = sum(c.probability for c in known if c.kind == f.likeliest.kind)
-            share = percent(alike / sum(c.probability for c in known))
-            place = _place(f)
-            said.append(
-                f"Of the effects in the library, {f.likeliest.kind} explains most ({share} of the "
-                f"rest){place}."
-            )
+            kind = f.likeliest.kind
+            alike = sum(c.probability for c in known if c.kind == kind)
+            share = alike / sum(c.probability for c in known)
+            said.append(say("one of the library", kind=kind, share=share, place=_place(f)))
         return said
     kind = known[0].kind if known else ""
     if kind == COEFFICIENTS and np.isfinite(known[0].size):
@@ -727,20 +674,17 @@ def _at_positions(f: Finding) -> list[str]:
         "less absorption": "The room absorbs less than the model",
     }.get(kind, "The room or the measurement differs from the model")
     said = [f"{subject}{_place(f)}."]
-    effects = dict.fromkeys(c.effect for c in f.candidates if c.probability >= SAID)
+    effects = {c.effect for c in f.candidates if c.probability >= SAID}
     if f.verdict == "family":
         said.append(_group(f))
     elif f.verdict == "named":
-        effect = likely(str(f.effect), f.probabilities[str(f.effect)])
-        said.append(f"The effect is identified: {effect}.")
+        effect = str(f.effect)
+        said.append(f"The effect is identified: {likely(effect, f.probabilities[effect])}.")
     elif effects:
         some = choice([one for one in f.probabilities.items() if one[0] in effects])
         said.append(f"The effect is not identified: it is {some}.")
     if f.unexplained >= MOST:
-        said.append(
-            "This does not explain everything that was measured: something else also differs "
-            f"from the model ({percent(f.unexplained)})."
-        )
+        said.append(say("more differs", probability=f.unexplained))
     return said
 
 
@@ -750,7 +694,7 @@ def _place(f: Finding) -> str:
     if best is None or not best.place:
         return ""
     if best.surface is None:
-        return f"; most likely {likeliness(best)}"
+        return f"; most likely {likely(best)}"
     if f.surface is not None:
         at = None if f.located is None else f.located.middle
         about = f", about ({', '.join(f'{x:.1f}' for x in at)}) m" if at is not None else ""
@@ -764,13 +708,13 @@ def _change(f: Finding) -> str:
     size = f.size
     if f.family == "climate" or size is None or not np.isfinite(size.mean):
         return "the climate of the air changed"
-    more = f.families.get(f"{ADDED} absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
+    added = f.families.get(f"{ADDED} absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
     at = bands.label(f.middle[0])
     if len(f.middle) > 1:
         at = f"{f.middle[0]:g} to {f.middle[-1]:g} Hz"
     low, high = sorted((abs(size.low), abs(size.high)))
-    said = f"the room has {amount(abs(size.mean), 'm²', (low, high))} "
-    said += f"{'more' if more else 'less'} absorption at {at} than before"
+    much = amount(abs(size.mean), "m²", (low, high))
+    said = f"the room has {much} {'more' if added else 'less'} absorption at {at} than before"
     return f"{said}, {f.spectrum}" if f.spectrum else said
 
 
@@ -781,43 +725,78 @@ def _of_states(f: Finding) -> list[str]:
         return [f"No change is identified; there is only a weak indication that {_change(f)}."]
     if f.family == "climate":
         return ["The climate of the air changed, and nothing else."]
-    said = [as_sentence(_change(f))]
-    if f.family is not None:
-        said.append(_group(f))
-    if f.identified_surfaces:
-        places = listed([f'"{name}"' for name in f.identified_surfaces])
-        said.append(f"The change is on {places}.")
-    return said
+    on = quoted(f.identified_surfaces)
+    return [
+        as_sentence(_change(f)),
+        *([] if f.family is None else [_group(f)]),
+        *([f"The change is on {on}."] if on else []),
+    ]
 
 
 _ANSWERS = {"means": _of_means, "positions": _at_positions, "states": _of_states}
 
 
-# Cautions, candidates, evidence.
+# The next step, cautions, details, evidence.
+
+
+def without_measuring(f: Finding) -> str:
+    """Return the next step of a finding that needs no measurement, such as calibration; "" for none."""
+    if any(reason.code == OWN_FIELD for reason in f.reasons):
+        return say("simulate twice")
+    if f.verdict != NONE or not f.differs:
+        return ""
+    if f.kind != "states" and f.case.has_run:
+        return say("calibrate program")
+    return say("calibrate", command="fit" if f.kind == "positions" else "calibrate")
+
+
+def next_step(f: Finding, verification: Verification | None = None) -> str:
+    """Return the next step, a measurement or not, in a sentence; "" where nothing is left to do."""
+    if step := without_measuring(f):
+        return step
+    if f.advice is not None:
+        return str(f.advice)
+    if f.kind != "positions" or f.verdict == NONE or f.best is None:
+        return ""
+    if f.verdict == "hint":
+        return say("without run" if f.case.has_run else "one more receiver")
+    if verification is not None and not (verification.misses or verification.verdict == "unproven"):
+        return USE[verification.verdict]
+    if f.likely_surfaces and f.surface is None:
+        return say("look on surfaces", surfaces=f.likely_surfaces)
+    return say("look for it", effect=f.likeliest or f.best)
+
+
+def first_step(f: Finding, verification: Verification | None = None) -> str:
+    """Return the next step, after the check of what a caution calls a likely typing error."""
+    checked = dict.fromkeys(d.checked for m in _measured(f) for d in _doubts(f, m) if d.is_error)
+    step = next_step(f, verification)
+    if not step or not checked:
+        return step
+    return f"First check {listed([*checked])}. If nothing is mistyped, {step[:1].lower()}{step[1:]}"
+
+
+def _doubts(f: Finding, measured: Measurement) -> Sequence[marks.TrustMark]:
+    """Return the input of the room that may be mistyped, by one measurement."""
+    room = f.case.room
+    return marks.of_input(room, measured.in_bands(room.centre_frequencies).reverberation_time)
 
 
 def cautions(f: Finding) -> list[str]:
     """Return reasons to doubt the answer, and likely typing errors in the input."""
-    room, off, typed = f.case.room, f.coefficients, list[str]()
+    off, typed = f.coefficients, list[str]()
     for measured in _measured(f):
-        t = measured.in_bands(room.centre_frequencies).reverberation_time
-        typed += [doubt.sentence for doubt in marks.of_input(room, t)]
+        typed += [doubt.sentence for doubt in _doubts(f, measured)]
         typed += [*unusual(measured), *map(as_sentence, marks.given_twice(measured))]
     said = [str(r) for r in f.reasons if r is not f.leading and not _leads(f, r)]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
     elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:
-        said.append(
-            "A change of the climate explains a part of the change (probability "
-            f"{percent(f.climate)})."
-        )
+        said.append(say("changes too", probability=f.climate))
     if off is not None and f.best_effect != COEFFICIENTS:
         said.append(f"The input coefficients may have a common error ({percent(off.probability)}).")
     if f.kind == "positions" and abs(f.score - f.threshold) < BY_SEED:
-        said.append(
-            "The odds are near the required ones. They vary with the simulator's random numbers by a "
-            f"factor of {np.exp(BY_SEED):.1f}: search with another --seed as well."
-        )
+        said.append(say("by seed", factor=np.exp(BY_SEED)))
     return [*map(as_sentence, dict.fromkeys(typed)), *said]
 
 
@@ -830,50 +809,49 @@ def _measured(f: Finding) -> list[Measurement]:
 
 def details(f: Finding) -> list[str]:
     """Return sentences on sizes, sets of effects, and effects that cannot be distinguished."""
-    if f.kind != "states":
-        of_kind = _details_of_means if f.kind == "means" else _details_at_positions
-        return [*filter(None, of_kind(f))]
+    return {"means": _details_of_means, "positions": _undistinguished, "states": _others}[f.kind](f)
+
+
+def _others(f: Finding) -> list[str]:
+    """Return which surfaces may have changed between two states, beside those that are identified."""
     some = [likely(f'"{n}"', p) for n, p in f.surfaces.items() if 1 - CLAIMED <= p < CLAIMED]
-    return (
-        [f"One or several of these surfaces may have changed as well: {listed(some)}."]
-        if some
-        else []
-    )
+    said = f"One or several of these surfaces may have changed as well: {listed(some)}."
+    return [said] if some else []
+
+
+def _undistinguished(f: Finding) -> list[str]:
+    """Return which surfaces these positions do not distinguish."""
+    said = [f"These positions do not distinguish {quoted(g)}." for g in f.groups]
+    grouped = {name for group in f.groups for name in group}
+    asked = f.likely_surfaces if grouped and f.surface is None else ()
+    if left := [name for name in asked if name not in grouped]:
+        said.append(f"Less probable, but not ruled out: {quoted(left)}.")
+    return said
 
 
 def _details_of_means(f: Finding) -> list[str]:
     each = {n: f.probabilities.get(n, 0.0) for n in f.names}
     least = max(SAID, _SIZED * max(each.values(), default=0.0))
-    sizes = [size_of(f, n) for n, p in each.items() if p >= least]
-    said = [f"{size}." for size in sizes if size]
+    said = [f"{size}." for n, p in each.items() if p >= least and (size := size_of(f, n))]
     if f.coefficients is not None:
-        low, high = f.coefficients.ratio.min(), f.coefficients.ratio.max()
-        said.append(
-            f"If the coefficients have a common error, the room has {low:.2f} to {high:.2f} times the "
-            "absorption area of the input, by band: look for another source of the coefficients."
-        )
+        ratio = f.coefficients.ratio
+        said.append(say("common error", low=ratio.min(), high=ratio.max()))
     if f.more_than_one:
         said += [
-            f"{called(name)} may be {listed([called(o) for o in others], last='or')} instead."
+            f"{called(name)} may be {listed([*map(called, others)], last='or')} instead."
             for name, others in f.stand_ins.items()
             if others and len(f.members) > 1
         ]
-        words = zip(("none", "one", "two", "three"), f.numbers, strict=False)
-        several = ", ".join(likely(*w) for w in words if w[1] >= 0.005)
+        numbers = zip(("none", "one", "two", "three"), f.numbers, strict=False)
+        several = ", ".join(likely(*each) for each in numbers if each[1] >= 0.005)
         said.append(f"The number of missing effects is {several}.")
         sets = [likely(set_of(names), p) for names, p in f.likely_sets.items()]
         said.append(f"The most probable sets of effects are {', '.join(sets)}.")
-    library = {effect.name: effect for effect in checked_effects(None)}
-    for name, reason in f.not_judged.items():
-        family = library[name].family if name in library else None
-        others = [called(k) for k, e in f.effects.items() if e.family == family]
-        alike = [] if reason == IN_RUN else others
-        stands = (
-            f" If it is there, {listed(alike, last='or')} may be identified in its place."
-            if alike
-            else ""
-        )
-        said.append(f"{called(name)} is not judged, because {reason}.{stands}")
+    families = {effect.name: effect.family for effect in library()}
+    for name, why in f.not_judged.items():
+        others = [k for k, e in f.effects.items() if e.family == families.get(name)]
+        code = "stands for it" if others and why != IN_RUN else "not judged"
+        said.append(say(code, effect=name, why=why, others=others))
     return said
 
 
@@ -891,67 +869,37 @@ def size_of(f: Finding, name: str) -> str:
     found = f.candidate(name)
     if found is None or not found.parameters:
         return ""
-    effect = f.effects[name]
-    if found.extent is None:
-        return f"{named(found)}: {effect.describe(found.parameters)}"
-    others = effect.describe(found.parameters, without=effect.size)
-    return f"{named(found)}: {found.extent.words}" + (f"; {others}" if others else "")
-
-
-def _quoted(names: Sequence[str]) -> str:
-    """Return names in quotes, as a sentence lists them."""
-    return listed([f'"{name}"' for name in names])
-
-
-def _details_at_positions(f: Finding) -> list[str]:
-    said = [f"These positions do not distinguish {_quoted(g)}." for g in f.groups]
-    grouped = {name for group in f.groups for name in group}
-    asked = f.likely_surfaces if grouped and f.surface is None else ()
-    if left := [name for name in asked if name not in grouped]:
-        said.append(f"Less probable, but not ruled out: {_quoted(left)}.")
-    return said
-
-
-_VERDICTS = {
-    "named": ": one effect is identified",
-    "family": ": a group of effects is identified",
-    "ambiguous": ": detected, but not identified",
-    "hint": ": a weak indication",
-    "unknown": ": detected, but not explained",
-}
-"""What a verdict says, where its name alone does not."""
+    effect, size = f.effects[name], found.in_words
+    others = effect.describe(found.parameters, without=effect.size if size else "")
+    return f"{called(found)}: {'; '.join(filter(None, [size, others]))}"
 
 
 def evidence(f: Finding) -> str:
     """Return the odds that something is missing, the odds required for detection, and the verdict."""
-    found, what = f.detection, "changed" if f.kind == "states" else "is missing"
-    part: Any = f
-    of = ""
+    found, what = f.detection, _missing(f)
+    part, of = found, ""
     if found.deciding is not None:
         part = found.parts[found.deciding]
         of = f" (only {found.deciding}, as all data give lower odds)"
     required = odds(part.threshold)
     required = "more than even odds" if required == "even" else f"odds of more than {required}"
-    given, which, again = f"odds of {odds(abs(part.score))}", f"something {what}", ""
+    given, which = f"odds of {odds(abs(part.score))}", f"something {what}"
     if odds(part.score) == "even":
         given = "even odds"
     elif part.score < 0:  # odds below 1 are read more easily the other way round
-        which, again = f"nothing {what}", f" that something {what}"
-    said = (
-        f"In the mean over all effects, the data{of} give {given} that {which}. A detection requires "
-        f'{required}{again}. The verdict in the files is "{f.verdict}"{_VERDICTS.get(f.verdict, "")}.'
-    )
+        which, required = f"nothing {what}", f"{required} that something {what}"
+    stated = {"verdict": f.verdict, "meaning": _VERDICTS.get(f.verdict, ""), "required": required}
+    said = [say("evidence", of=of, given=given, which=which, **stated)]
     if f.kind == "positions" and f.case.has_run:
-        said += (
-            " The program is assumed to err as much as the reference simulations do, in addition to "
-            "the errors of the model."
-        )
+        said.append(say("program errs"))
     if found.verdict is not None and found.noise is not None and found.noise > 0:
-        said += f" A single noisy value is the better explanation (odds of {odds(found.noise)})."
+        said.append(say("noisy value", nats=found.noise))
     if found.means is not None:
-        alone = odds(found.means)
-        said += f" The means over positions alone give odds of {alone} that something {what}."
-    return said
+        said.append(say("by means", nats=found.means, what=what))
+    return " ".join(said)
+
+
+# How often such findings were right.
 
 
 _OF_INTERVAL = "95 % interval"
@@ -970,10 +918,7 @@ def _of(share: Share, what: str, verb: str) -> str:
 
 def _flagged(share: Share) -> str:
     """Return in how many rooms with nothing missing an effect was reported, as a clause."""
-    return (
-        f"an effect was reported in {share.count} of {share.of} rooms with nothing missing "
-        f"({interval(share)})"
-    )
+    return f"an effect was reported in {_of(share, 'rooms', 'with nothing missing')}"
 
 
 def _in_rooms(data: str, *counts: str, version: str = "`find`") -> str:
@@ -992,19 +937,19 @@ def track_record(f: Finding) -> str:
         return "How often such findings with a simulation are right was not counted."
     if f.kind == "positions":
         return record_of_positions(f.case.room, f.parameters)
-    if f.more_than_one and f.detected:
-        claimed = {"families": f.named_families, "sets of families": f.named_set}
-        kinds = [
-            _of(
-                Share(*stored()["several"][kind]),
-                f"identified {kind.replace('families', 'groups')}",
-                "were right",
-            )
-            for kind, names in claimed.items()
-            if names
-        ]
-        return _in_rooms("one or two hidden effects", *kinds) if kinds else ""
-    return record_of_means(f.verdict, data_of(f.case))
+    if not (f.more_than_one and f.detected):
+        return record_of_means(f.verdict, data_of(f.case))
+    claimed = {"families": f.named_families, "sets of families": f.named_set}
+    kinds = [
+        _of(
+            Share(*stored()["several"][kind]),
+            f"identified {kind.replace('families', 'groups')}",
+            "were right",
+        )
+        for kind, names in claimed.items()
+        if names
+    ]
+    return _in_rooms("one or two hidden effects", *kinds) if kinds else ""
 
 
 def record_of_positions(room: Room, match: Sequence[str]) -> str:
@@ -1026,23 +971,19 @@ def record_of_positions(room: Room, match: Sequence[str]) -> str:
     return f"{first}{once}{rest.replace(f', {_OF_INTERVAL}', '')}"
 
 
-_SEVERAL_DATA = "data of several configurations or with C80 or G"
-"""`rtcal.finder.records.ALL` as a sentence says it."""
-
-
 def record_of_means(verdict: str, data: str) -> str:
     """Return how often this verdict was right with this kind of data, as `records` names both."""
     record = record_of("means", data)
-    rooms = _SEVERAL_DATA if data == ALL else data
+    rooms = "data of several configurations or with C80 or G" if data == ALL else data
     flagged = _flagged(record["flagged"])
     if verdict == UNKNOWN:
         return _in_rooms(rooms, flagged)
     if verdict not in record:
-        missed = Share(record["detected"].of - record["detected"].count, record["detected"].of)
-        said = _of(missed, "hidden effects", "were not detected")
-        return _in_rooms(
-            rooms, f"{said}, so a search without a result does not prove that nothing is missing"
-        )
+        detected = record["detected"]
+        missed = _of(Share(detected.of - detected.count, detected.of), "hidden effects", "were not")
+        missed = missed.replace("were not", "were not detected")
+        proof = "so a search without a result does not prove that nothing is missing"
+        return _in_rooms(rooms, f"{missed}, {proof}")
     kinds = {
         "named": ("identified effects", "were right"),
         "family": ("identified groups of effects", "were right"),
@@ -1071,35 +1012,57 @@ def candidates(f: Finding, least: float = SAID) -> Table | None:
 
     ``least`` is the smallest probability of an effect of means in the table.
     """
-    if f.kind == "means":
-        there = "probability" if not f.more_than_one else "probability of being there"
+    if f.kind != "means":
+        some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
         rows = [
-            Row(called(name), [percent(p), odds(f.evidence[name]) if name in f.evidence else ""])
-            for name, p in f.probabilities.items()
-            if p >= least
+            Row(called(c), [percent(c.probability), c.in_words.replace(f"({_INTERVAL} ", "(")])
+            for c in some[:8]
         ]
-        title = "Candidates. Odds: the model with the effect against the model without it."
-        if not f.more_than_one:
-            title += (
-                " Probability: these odds times the prior odds of the effect, as a share of all."
-            )
-        return Table([there, "odds by the data"], rows, title, corner="effect")
-    some = [c for c in f.candidates if c.probability >= SAID and f.verdict != NONE]
+        corner = "change" if f.kind == "states" else "effect"
+        return Table(["probability", f"size ({_INTERVAL})"], rows, corner=corner) if rows else None
     rows = [
-        Row(named(c), [percent(c.probability), c.in_words.replace(f"({_INTERVAL} ", "(")])
-        for c in some[:8]
+        Row(called(name), [percent(p), odds(f.evidence[name]) if name in f.evidence else ""])
+        for name, p in f.probabilities.items()
+        if p >= least
     ]
-    corner = "change" if f.kind == "states" else "effect"
-    return Table(["probability", f"size ({_INTERVAL})"], rows, corner=corner) if rows else None
+    there, title = (
+        "probability of being there",
+        "Candidates. Odds: the model with the effect against ",
+    )
+    title += "the model without it."
+    if not f.more_than_one:
+        there = "probability"
+        title += " Probability: these odds times the prior odds of the effect, as a share of all."
+    return Table([there, "odds by the data"], rows, title, corner="effect")
 
 
 def numbers(f: Finding) -> list[Block]:
-    """Return tables by band: deviations for means; T and its change for two states."""
-    if f.kind != "states":
-        if f.kind != "means":
-            return []
-        every = deviations(f, f.residuals)
-        return [*every] if len(every) < _SEVERAL else [_largest_deviations(f, every)]
+    """Return tables by band: deviations for means; T and its change for two states.
+
+    Means in several configurations have one table, of the rows in which a band deviates much.
+    """
+    if f.kind == "states":
+        return [_of_two(f)]
+    tables = deviations(f, f.residuals) if f.kind == "means" else []
+    if len(tables) < 2:
+        return [*tables]
+    rows = [
+        replace(row, name=f'{row.name} of "{c.name}"')
+        for c, table in zip(f.case.configurations, tables, strict=True)
+        for row in table.rows
+    ]
+    large = [r for r in rows if np.nanmax(np.abs(np.asarray(r.values, float))) >= marks.LARGE_Z]
+    if not large:
+        return [
+            Note(f"{_DEVIATION}: less than {marks.LARGE_Z:g} in every band of every parameter.")
+        ]
+    left_out = len(rows) - len(large)
+    less = f"{left_out} rows with values below {marks.LARGE_Z:g} in every band are left out."
+    return [Table(tables[0].columns, large, _DEVIATION, note=less if left_out else "")]
+
+
+def _of_two(f: Finding) -> Table:
+    """Return T of two states and the change of the absorption area, by band."""
     case, measured = f.case, np.flatnonzero(f.case.known)
     width = f.change[2] - f.change[1]
     known = width[np.isfinite(width) & (width > 0)]
@@ -1109,30 +1072,14 @@ def numbers(f: Finding) -> list[Block]:
         "T before / s": [f"{t:.2f}" for t in case.times[0, measured]],
         "T after / s": [f"{t:.2f}" for t in case.times[1, measured]],
         "absorption area / m²": [f"{area:.1f}" for area in f.area[measured]],
-        "change / m² (90 % interval)": [
+        f"change / m² ({_INTERVAL})": [
             f"{mean:+.{digits}f} ({low:+.{digits}f} to {high:+.{digits}f})"
             if np.isfinite([mean, low, high]).all()
             else "not tried"
             for mean, low, high in f.change[:, measured].T
         ],
     }
-    return [Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)]
-
-
-def _largest_deviations(f: Finding, tables: Sequence[Table]) -> Block:
-    """Return one table of several configurations, with the rows in which a band deviates much."""
-    rows, left_out = list[Row](), 0
-    for c, table in zip(f.case.configurations, tables, strict=True):
-        for row in table.rows:
-            large = np.nanmax(np.abs(np.asarray(row.values, float))) >= marks.LARGE_Z
-            left_out += not large
-            if large:
-                rows.append(replace(row, name=f'{row.name} of "{c.name}"'))
-    if not rows:
-        return Note(f"{_DEVIATION}: less than {marks.LARGE_Z:g} in every band of every parameter.")
-    title = _DEVIATION
-    less = f"{left_out} rows with values below {marks.LARGE_Z:g} in every band are left out."
-    return Table(tables[0].columns, rows, title, note=less if left_out else "")
+    return Table.of_columns(bands.labels(case.room.centre_frequencies[measured]), columns)
 
 
 def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
@@ -1144,49 +1091,46 @@ def deviations(f: Finding, residuals: Array, of: str = "") -> list[Table]:
             Row(name, row, "+z.1f", row / _STRONG) for name, row in named if np.isfinite(row).any()
         ]
         where = f' of "{c.name}"' if len(f.case.configurations) > 1 else ""
-        heading = _DEVIATION.replace("Deviation", f"Deviation{where}{of}", 1)
-        made.append(Table(labels, rows, heading))
+        made.append(Table(labels, rows, _DEVIATION.replace(" (", f"{where}{of} (", 1)))
     return made
 
 
 def blocks(f: Finding, verification: Verification | None = None) -> list[Block]:
     """Return a finding as blocks: the answer, cautions, next step, candidates, data and evidence."""
-    table = candidates(f)
-    step = first_step(f, verification)
+    table, step = candidates(f), first_step(f, verification)
+    first = [
+        " ".join(headline(f)),
+        *(f"Caution: {said}" for said in cautions(f)),
+        "" if verification is None else verification.sentence,
+        f"Next: {step}" if step else "",
+    ]
     last = [evidence(f), track_record(f), *(f"Note: {n}" for n in noted(f))]
     return [
-        Note(" ".join(headline(f))),
-        *(Note(f"Caution: {said}") for said in cautions(f)),
-        *([] if verification is None else [Note(verification.sentence)]),
-        *([Note(f"Next: {step}")] if step else []),
+        *map(Note, filter(None, first)),
         *([] if table is None else [table]),
         *(Note(said, "  ") for said in details(f)),
         *numbers(f),
-        *(Note(said) for said in last if said),
+        *map(Note, filter(None, last)),
     ]
 
 
 def noted(f: Finding) -> list[str]:
     """Return the notes as sentences, without those that the answer or a caution states already."""
-    left = {"Schroeder"} if any(r.code == "below Schroeder" for r in f.reasons) else set()
-    left |= {EQUATION_OFF} if f.verdict == NONE else set()
-    return [
-        as_sentence(str(n))
-        for n in f.notes
-        if isinstance(n, str)
-        or n.code not in {"uncertainties", *left}
-        or (n.code == "uncertainties" and n.values["origins"].get("made"))
-    ]
+    known = {"Schroeder"} if any(r.code == "below Schroeder" for r in f.reasons) else set()
+    known |= {EQUATION_OFF} if f.verdict == NONE else set()
+
+    def adds(note: Reason | str) -> bool:
+        if isinstance(note, str) or note.code != "uncertainties":
+            return isinstance(note, str) or note.code not in known
+        return bool(note.values["origins"].get("made"))
+
+    return [as_sentence(str(n)) for n in f.notes if adds(n)]
 
 
 def added(f: Finding, members: tuple[str, ...]) -> str:
     """Return a sentence on the effects that `Finding.apply` adds, and on the other candidates."""
-    some = listed(
-        [
-            f"{called(name_of(f, n))} (probability {percent(f.probabilities.get(n, 0.0))})"
-            for n in members
-        ]
-    )
+    each = [(name_of(f, n), percent(f.probabilities.get(n, 0.0))) for n in members]
+    some = listed([f"{name} (probability {p})" for name, p in each])
     if len(members) > 1:
         some += f", the most probable set ({percent(f.sets[members])})"
     elif members != f.members:
@@ -1208,32 +1152,32 @@ def of_plan(p: Plan, *, every: bool = False) -> list[Block]:
 
     If ``every`` is True, effects that the data do not distinguish are named, else they are counted.
     """
-    seen, named_ = list[Row](), list[Block]()
+    rows, alike_of = list[Row](), list[Block]()
     for name, change in p.reached.items():
-        nats = p.separations[name, NONE]
         others = [other for other in p.reached if other != name]
         alike = [called(n) for n in others if p.separations[name, n] < DISTINCT_NATS]
         apart = [called(n) for n in others if p.separations[name, n] >= DISTINCT_NATS]
-        alike_of = f"{len(alike)} of {len(others)}"
-        seen.append(Row(called(name), [f"{100 * change:.1f} %", odds(nats), alike_of]))
+        nats, counted = p.separations[name, NONE], f"{len(alike)} of {len(others)}"
+        rows.append(Row(called(name), [f"{100 * change:.1f} %", odds(nats), counted]))
         said = listed(alike) or "no other effect"
         if len(alike) > len(apart):
             said = f"all but {listed(apart)}" if apart else "all others"
-        named_.append(Note(f"{called(name)}: {said}", "  "))
-    measured, enough = listed([parameter_label(n) for n in p.parameters]), odds(DISTINCT_NATS)
-    shown = sum(p.separations[name, NONE] >= DISTINCT_NATS for name in p.reached)
+        alike_of.append(Note(f"{called(name)}: {said}", "  "))
+    detectable = say(
+        "detectable",
+        measured=[parameter_label(n) for n in p.parameters],
+        shown=sum(p.separations[name, NONE] >= DISTINCT_NATS for name in p.reached),
+        number=len(rows),
+        nats=DISTINCT_NATS,
+        change=100 * p.change,
+        more="" if every else "; --all names them",
+    )
+    named = Note("Effects that these data do not distinguish:", hanging="")
     return [
         *_proposed(p),
-        Note(
-            f"If one effect alone were missing, {measured} would detect {shown} of {len(seen)} effects "
-            f"(odds by the data of at least {enough}). Each effect has the size that changes T by "
-            f"{100 * p.change:g} % in one band, or as much as it can. The last column counts the other "
-            f"effects that fit as well (odds below {enough}{'' if every else '; --all names them'}).",
-            hanging="",
-        ),
-        Table(["change of T", "odds by the data", "not distinguished from"], seen, corner="effect"),
-        *([Note("Effects that these data do not distinguish:", hanging="")] if every else []),
-        *(named_ if every else []),
+        Note(detectable, hanging=""),
+        Table(["change of T", "odds by the data", "not distinguished from"], rows, corner="effect"),
+        *([named, *alike_of] if every else []),
     ]
 
 
@@ -1242,8 +1186,7 @@ def _proposed(p: Plan) -> list[Block]:
     if not p.proposals:
         return []
     if p.uncertainty < _OPEN:
-        settled = "Measure nothing further: the data already settle which effects are there."
-        return [Note(settled, hanging=""), Note("")]
+        return [Note(say("settled"), hanging=""), Note("")]
 
     def share(information: float) -> str:
         return f"{100 * information / p.uncertainty:.0f} %"
@@ -1253,21 +1196,13 @@ def _proposed(p: Plan) -> list[Block]:
         for m in p.proposals
     ]
     first = p.sequence[0]
+    best = ", more per hour than any other proposal" * (len(rows) > 1)
+    stated = {"share": share(first.information), "number": np.exp(p.uncertainty), "best": best}
+    order = listed([f"{m.measurement} ({share(m.information)})" for m in p.sequence])
     return [
-        Note(
-            f"Measure next: {first.measurement}. In {first.cost:g} h, this removes "
-            f"{share(first.information)} of the uncertainty about what is missing"
-            f"{', more per hour than any other proposal' * (len(rows) > 1)}. So far, the uncertainty "
-            f"is that of {np.exp(p.uncertainty):.1f} equally probable effects.",
-            hanging="",
-        ),
+        Note(say("propose", what=first.measurement, cost=first.cost, **stated), hanging=""),
         Table(["uncertainty removed", "time", "per hour"], rows, corner="measurement"),
-        Note(
-            "Best order, with the uncertainty that each measurement removes after those before it: "
-            + listed([f"{m.measurement} ({share(m.information)})" for m in p.sequence])
-            + ".",
-            hanging="",
-        ),
+        Note(say("in order", order=order), hanging=""),
         Note(""),
     ]
 
@@ -1276,30 +1211,15 @@ def of_places(f: Finding, places: Sequence[Place]) -> list[Block]:
     """Return where a further receiver would distinguish the surfaces that are in question."""
     answer = Note(" ".join(headline(f)))
     if not places:
-        return [
-            Note(
-                "Measure no further receiver: no surfaces are in question that it would distinguish."
-            ),
-            answer,
-            Note(
-                "To plan other measurements, name a case or a measurement of means over positions."
-            ),
-        ]
-    names = listed([f'"{name}"' for name in f.likely_surfaces])
+        return [Note(say("no receiver")), answer, Note(say("plan others"))]
     where = [f"{', '.join(f'{x:.2f}' for x in p.point)} m" for p in places]
     rows = [Row(at, [p.source, f"{p.pairs:.1f}"]) for at, p in zip(where, places, strict=True)]
-    enough = len(f.pairs) / 2 < places[0].pairs
-    return [
-        Note(
-            f"Measure next with a receiver at {where[0]} and source {places[0].source}. Of the "
-            f"positions that were tried, it is expected to distinguish {names} best: as well as "
-            f"{places[0].pairs:.1f} of the {len(f.pairs)} measured pairs."
-            + " All measured pairs together do not distinguish them, so one more may not be enough."
-            * (not enough)
-        ),
-        answer,
-        Table(["source", "worth in measured pairs"], rows, corner="receiver"),
-    ]
+    best, number = places[0], len(f.pairs)
+    of_best = {"source": best.source, "pairs": best.pairs, "surfaces": f.likely_surfaces}
+    said = [say("receiver", at=where[0], number=number, **of_best)]
+    said += [say("not enough")] if number / 2 < best.pairs else []
+    table = Table(["source", "worth in measured pairs"], rows, corner="receiver")
+    return [Note(" ".join(said)), answer, table]
 
 
 # A calibration with what was found.
@@ -1327,5 +1247,5 @@ def of_recalibration(r: Recalibrated, plain: Recalibrated | None = None) -> list
         for i, m in enumerate(room.materials)
     ]
     of_pieces = f" (of {listed(room.pieces)} in m² per piece)" if room.pieces else ""
-    title = f"alpha{of_pieces} ± half its 90 % interval, means over bands"
+    title = f"alpha{of_pieces} ± half its {_INTERVAL}, means over bands"
     return [Table([*alphas], rows, title), *(Note(line, "  ") for line in effects_of(r))]

@@ -189,7 +189,7 @@ def test_the_calibrated_room_has_the_calibrated_model_s_time(case, effect):
     changed = replace(case, applied=applied, configurations=[at])
     calibrated = recalibrate(changed)
     assert calibrated.off < 0.5
-    known = {"equation", "no place", "speed of sound", "volume changed", "area changed"}
+    known = {"equation", "no place", "speed of sound", "input changed"}
     if any(note.code not in known for note in corrected_case(changed).notes):
         return  # `agree` shows that the room lacks it
     after = state(changed, at)
