@@ -36,7 +36,8 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from itertools import combinations
@@ -96,8 +97,7 @@ def _checked_climate_uncertainty(value: object) -> tuple[float, float]:
     climate = checks.array("climate_uncertainty", value)
     if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
         raise DataError(
-            f"climate_uncertainty = {value!r} must be two numbers of 0 or more: the "
-            "uncertainty of the temperature in K and that of the humidity in %"
+            f"climate_uncertainty = {value!r} must be two numbers of 0 or more, in K and %"
         )
     kelvin, percent = climate.tolist()
     return kelvin, percent
@@ -147,6 +147,15 @@ class _CaseTable(FileTable):
     caution: str = ""  # for whoever opens the file
 
 
+@contextmanager
+def _named(where: str) -> Iterator[None]:
+    """Name the place of a DataError."""
+    try:
+        yield
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
 @dataclass(frozen=True)
 class ChangedMaterial:
     """Hold alpha and sigma of a material in one configuration of a room, (n_bands,) each.
@@ -162,13 +171,11 @@ class ChangedMaterial:
 
     def __post_init__(self) -> None:
         for name in ("alpha", "sigma"):
-            array = checks.array(f"change: {name}", getattr(self, name))
-            within = (array >= 0) & (
-                array <= LARGEST_PIECE
-            )  # `Configuration.in_room`: 1, of a wall
-            if array.ndim != 1 or not array.size or not within.all():
+            array = checks.shaped(f"change: {name}", getattr(self, name), "n_bands")
+            # `Configuration.in_room`: 1, of a wall
+            if not array.size or not ((array >= 0) & (array <= LARGEST_PIECE)).all():
                 raise DataError(f"change: {name} must be an array (n_bands,) of values from 0 to 1")
-            object.__setattr__(self, name, read_only(array))
+            object.__setattr__(self, name, array)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -207,10 +214,7 @@ class Configuration:
         changes = checks.mapped(f"{where}: changes", self.changes)
         for material, change in changes.items():
             text_name(f"{where}: changes: material", material)
-            if not isinstance(change, ChangedMaterial):
-                raise DataError(
-                    f"{where}: changes[{material!r}] must be an rtcal.finder.ChangedMaterial"
-                )
+            checks.instance(f"{where}: changes[{material!r}]", change, ChangedMaterial)
         object.__setattr__(self, "changes", changes)
         for name in ("suspect_removed", "planned"):
             checks.flag(f"{where}: {name}", getattr(self, name))
@@ -218,10 +222,8 @@ class Configuration:
             if getattr(self, name) is not None:
                 checks.instance(f"{where}: {name}", getattr(self, name), kind)
         if self.distances is not None:
-            distances, n = (
-                checks.array(f"{where}: distances", self.distances),
-                len(self.measured.pairs),
-            )
+            n = len(self.measured.pairs)
+            distances = checks.array(f"{where}: distances", self.distances)
             if distances.shape != (n,) or not ((distances > 0) & np.isfinite(distances)).all():
                 raise DataError(f"{where}: distances must be {n} values above 0, one per pair")
             object.__setattr__(self, "distances", read_only(distances))
@@ -260,27 +262,16 @@ class Configuration:
         DataError if the configuration does not fit the room, or if a measured value is physically
         impossible.
         """
-        where = f'configuration "{self.name}"'
-        stated, wanted = self.measured.centre_frequencies, room.centre_frequencies
-        measured = self.measured
-        if stated.tolist() != wanted.tolist():
-            try:
-                measured = measured.in_bands(wanted)
-            except DataError as error:
-                raise DataError(f"{where}: {error}") from error
-            if notes := bands.notes(stated, wanted):
-                warnings.warn(
-                    f"{where}: {'; '.join(notes)}",
-                    OtherBandsWarning,
-                    stacklevel=checks.stack_level(),
-                )
-        whole = measured
-        measured, made = self._beside_run(where, measured, room)
+        where, wanted = f'configuration "{self.name}"', room.centre_frequencies
+        with _named(where):
+            whole = self.measured.in_bands(wanted)
+            measured, made = self._beside_run(whole, room)
+        if notes := bands.notes(self.measured.centre_frequencies, wanted):
+            said = f"{where}: {'; '.join(notes)}"
+            warnings.warn(said, OtherBandsWarning, stacklevel=checks.stack_level())
         if not {"t20", "t30"} & measured.values.keys():
             if self.simulated is None or self.planned:
-                raise DataError(
-                    f"{where}: the measurement has neither T20 nor T30; add one of them"
-                )
+                raise DataError(f"{where}: the measurement has neither T20 nor T30")
             raise DataError(f"{where}: {self.simulated.nothing_common(whole, 'T20 or T30')}")
         for material, change in self.changes.items():
             most = float(room.most_alpha[room.material_index(material)].max())
@@ -300,36 +291,24 @@ class Configuration:
             if room.dimensions is not None:
                 longest, rule = float(np.linalg.norm(room.dimensions)), "the room's diagonal"
             if (most := self.distances.max()) > longest:
-                raise DataError(
-                    f"{where}: distances has {most:g} m, but at most {longest:.3g} m is "
-                    f"possible, {rule}"
-                )
+                at_most = f"at most {longest:.3g} m is possible, {rule}"
+                raise DataError(f"{where}: distances has {most:g} m, but {at_most}")
         for name in FEATURES:
             kind, values = observable(name), measured.values.get(name, np.zeros((0, 0)))
             least, most = LEVEL_LIMITS.get(name, kind.limits)
-            with np.errstate(invalid="ignore"):
-                outside = np.isfinite(values) & ~((values >= least) & (values <= most))
-            for i, k in np.argwhere(outside):
+            for i, k in np.argwhere((values < least) | (values > most)):
                 place = f"{where}: {name} at {bands.label(wanted[k])}"
-                if name not in LEVEL_LIMITS:
-                    kind.refuse(place, values[i, k])
-                raise DataError(
-                    f"{place} = {values[i, k]:g} dB must be from {least:g} to {most:g} dB, "
-                    "the range in rooms"
-                )
+                if name in LEVEL_LIMITS:
+                    checks.between(place, values[i, k], least, most, "dB", ", the range in rooms")
+                kind.refuse(place, values[i, k])
         return replace(self, measured=measured, **made)
 
-    def _beside_run(
-        self, where: str, measured: Measurement, room: Room
-    ) -> tuple[Measurement, dict[str, Any]]:
+    def _beside_run(self, measured: Measurement, room: Room) -> tuple[Measurement, dict[str, Any]]:
         """Return what was measured and simulated, and the run, distances and names that go with it."""
         if self.simulated is None or self.planned:
             return measured, {}
-        try:
-            self.simulated.refuse_other(room)
-            both = self.simulated.beside(measured)
-        except DataError as error:
-            raise DataError(f"{where}: {error}") from error
+        self.simulated.refuse_other(room)
+        both = self.simulated.beside(measured)
         made: dict[str, Any] = {"simulated": replace(self.simulated, simulated=both.run)}
         made["left_out"] = tuple(dict.fromkeys([*self.left_out, *both.left_out(FEATURES)]))
         if self.distances is not None:
@@ -344,39 +323,17 @@ def _configuration(
     """Return the configuration of a table, whose values without uncertainty get that of ``stated``."""
     where = f'configuration "{table.name}"'
     planned = table.planned or table.parameters is not None
+    if (table.measured is None) == (table.parameters is None):
+        lacks = (
+            "missing; give" if table.measured is None else "given beside parameters; give either"
+        )
+        raise DataError(
+            f"{where}: measured is {lacks} the measurement, or parameters if it is only planned"
+        )
     if table.parameters is not None:
-        if table.measured is not None:
-            raise DataError(
-                f"{where}: measured and parameters are both given. If the "
-                "configuration was measured, leave parameters out; if it is only "
-                "planned, leave measured out"
-            )
-        wanted, n = table.parameters, 4 if table.positions is None else table.positions
-        fits = all(p in FEATURES for p in wanted) and "t20" in wanted
-        if not fits or len(set(wanted)) < len(wanted):
-            raise DataError(
-                f"{where}: parameters must be a list with t20; it may also have "
-                f"{', '.join(p for p in FEATURES if p != 't20')}, each once"
-            )
-        if not 1 <= n <= MAX_POSITIONS:
-            raise DataError(f"{where}: positions = {n} must be from 1 to {MAX_POSITIONS}")
-        values = np.ones((n, room.n_bands))
-        kinds = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
-        measured = Measurement(
-            centre_frequencies=room.centre_frequencies,
-            values=dict.fromkeys(wanted, values),
-            pairs=[("S", f"R{i + 1}") for i in range(n)],
-            uncertainty={p: u * values for p, u in kinds.items()},
-        )
+        measured = _placeholders(where, table, room)
     elif table.positions is not None:
-        raise DataError(
-            f"{where}: positions can be given only for a planned configuration, and "
-            "this one was measured: leave positions out"
-        )
-    elif table.measured is None:
-        raise DataError(
-            f"{where}: measured is missing; give the name of a file with the measurement"
-        )
+        raise DataError(f"{where}: positions can be given only for a planned configuration")
     else:
         measured = _read(where, table.measured, room, folder)
     added = dict(measured.uncertainty)
@@ -386,20 +343,17 @@ def _configuration(
         if size is not None and parameter not in added:
             added[parameter] = np.full_like(values, size) if level else size * values
     run = None
-    if table.simulated is None and table.at is not None:
-        raise DataError(
-            f"{where}: at gives the coefficients of a simulation, but the simulation "
-            "is missing; add simulated"
-        )
     if table.simulated is not None:
-        try:
+        with _named(where):
             if isinstance(table.at, str):
                 at = Room.from_file(str(folder / table.at))
             else:
                 at = room if table.at is None else room.replace(alpha=table.at)
-            run = Run(at, _read(where, table.simulated, room, folder))
-        except DataError as error:
-            raise DataError(f"{where}: {error}") from error
+        given = _read(where, table.simulated, room, folder)
+        with _named(where):
+            run = Run(at, given)
+    elif table.at is not None:
+        raise DataError(f"{where}: at has the coefficients of a simulation; add simulated")
     return Configuration(
         name=table.name or ("planned" if planned else "measured"),
         measured=replace(measured, uncertainty=added),
@@ -415,17 +369,34 @@ def _configuration(
     )
 
 
-def _read(where: str, stated: str | MeasurementTable, room: Room, folder: Path) -> Measurement:
+def _placeholders(where: str, table: _ConfigurationTable, room: Room) -> Measurement:
+    """Return placeholders for a measurement that is planned: its parameters and uncertainties."""
+    wanted, n = table.parameters or [], 4 if table.positions is None else table.positions
+    if "t20" not in wanted or not {*wanted} <= {*FEATURES} or len({*wanted}) < len(wanted):
+        raise DataError(
+            f"{where}: parameters = {wanted} must have t20, and may have each of "
+            f"{', '.join(p for p in FEATURES if p != 't20')} once"
+        )
+    checks.between(f"{where}: positions", n, 1, MAX_POSITIONS)
+    values = np.ones((n, room.n_bands))
+    kinds = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
+    return Measurement(
+        centre_frequencies=room.centre_frequencies,
+        values=dict.fromkeys(wanted, values),
+        pairs=[("S", f"R{i + 1}") for i in range(n)],
+        uncertainty={p: u * values for p, u in kinds.items()},
+    )
+
+
+def _read(where: str, stated: Any, room: Room, folder: Path) -> Measurement:
     """Return the measurement of a file's name, or of plain values in the room's bands."""
     if isinstance(stated, str):
         return Measurement.from_file(str(folder / stated))
     plain = msgspec.structs.asdict(stated)
     if not stated.centre_frequencies:
         plain["centre_frequencies"] = room.centre_frequencies
-    try:
+    with _named(where):
         return Measurement(**plain)
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -526,8 +497,7 @@ class Case:
         """Return the case as plain values for `from_dict`; DataError for an effect of your own."""
         if custom := [p.name for p in self.applied if p.effect not in library()]:
             raise DataError(
-                f'effect "{custom[0]}" is not in rtcal\'s library, so a case with it cannot be '
-                "saved: another installation could not read it"
+                f'effect "{custom[0]}" is not in rtcal\'s library, so a case with it cannot be saved'
             )
         return {
             "room": self.room.to_dict(),
@@ -563,19 +533,15 @@ class Case:
         for c in self.configurations:
             if c.planned:
                 raise DataError(
-                    f'configuration "{c.name}" has parameters but no measurement: add the '
-                    "measurement, or use `rtcal plan`"
+                    f'configuration "{c.name}" has parameters but no measurement (`rtcal plan`)'
                 )
         for one, other in combinations(self.configurations, 2):
             tables = one.measured.values, other.measured.values
             both = [[table[p] for table in tables] for p in tables[0].keys() & tables[1].keys()]
-            if any(np.isfinite(a).any() for a, _ in both) and all(
-                np.array_equal(a, b, equal_nan=True) for a, b in both
-            ):
-                raise DataError(
-                    f'the configurations "{one.name}" and "{other.name}" have the same '
-                    "measurement, whose values would count twice; leave one of them out"
-                )
+            known = any(np.isfinite(a).any() for a, _ in both)
+            if known and all(np.array_equal(a, b, equal_nan=True) for a, b in both):
+                names = f'"{one.name}" and "{other.name}"'
+                raise DataError(f"the configurations {names} have the same measurement")
         if self.room.calibration is None:
             return
         for c in self.configurations:
@@ -604,9 +570,7 @@ def _checked_facing(room: Room, stated: Any) -> Array:
     array = checks.shaped("facing", stated, room.n_materials, 3)
     total = array.sum(1, keepdims=True)
     if np.isinf(array).any() or (array < 0).any() or (total <= 0).any():
-        raise DataError(
-            "facing must have values of 0 or more, and at least one above 0 for each material"
-        )
+        raise DataError("facing must be 0 or more, and above 0 on one axis for each material")
     # Shares from a file already sum to 1; a further division would change their last digit.
     return np.where(np.abs(total - 1) < 1e-12, array, array / total)
 
@@ -622,17 +586,14 @@ _OFF_BOX = 0.1  # share by which the volume may differ from that of the stated d
 
 def _check_size(room: Room) -> None:
     """Refuse impossible volumes, and dimensions of another volume."""
-    least, most = VOLUMES
-    if not least <= room.volume <= most:
-        raise DataError(f"room: volume = {room.volume:g} m³ must be from {least:g} to {most:g} m³")
+    checks.between("room: volume", room.volume, *VOLUMES, "m³")
     if room.dimensions is not None:
         box = float(np.prod(room.dimensions))
         if abs(room.volume / box - 1) > _OFF_BOX:
             sides = " x ".join(f"{side:g}" for side in room.dimensions)
             raise DataError(
-                f"room: volume = {room.volume:g} m³, but the box of dimensions = {sides} m "
-                f"has {box:g} m³. They may differ by at most {100 * _OFF_BOX:.0f} %: "
-                "check volume and dimensions"
+                f"room: volume = {room.volume:g} m³ must be within {100 * _OFF_BOX:.0f} % of the "
+                f"{box:g} m³ of a box of dimensions = {sides} m"
             )
 
 
@@ -646,9 +607,8 @@ def _table(content: Mapping[str, Any]) -> _CaseTable:
     content = checks.mapped("case", content)
     if "geometry" in content:
         raise DataError(
-            "a case file cannot contain a geometry. Write [geometry] with mesh, [sources] "
-            "and [receivers] into the room's file, and give that room and the "
-            "measurement instead of the case: room.toml pairs.csv"
+            "a case file cannot contain a geometry. Write [geometry], [sources] and [receivers] into "
+            "the room's file, and give room and measurement instead of the case: room.toml pairs.csv"
         )
     return read(_CaseTable, content)
 
@@ -714,9 +674,8 @@ class PositionsCase:
             put(name, values)
             if values.is_summary:
                 raise DataError(
-                    f"{name} has means over pairs, but to locate an effect, values for "
-                    "each source and receiver are needed. With means, search without the "
-                    "geometry: rtcal then reports what is missing, but not where"
+                    f"{name} has means over pairs; a search by positions needs values of each pair. "
+                    "Search without the geometry: it shows what is missing, but not where"
                 )
         refuse_unknown(self.exclude, self.measured)
         absent = () if self.simulated is None else self._leave_out(self.simulated, put)
@@ -724,14 +683,12 @@ class PositionsCase:
         put("notes", tuple(dict.fromkeys(notes)))
         if history(self.room):
             raise DataError(
-                f'room "{self.room.name}" is already calibrated, and calibrated '
-                "coefficients hide what is missing from the model. Use the room as it "
-                "was before the calibration"
+                f'room "{self.room.name}" is already calibrated, and calibrated coefficients hide '
+                "what is missing from the model. Use the room as it was before the calibration"
             )
         if not self.room.sigma.any():
             raise DataError(
-                f'room "{self.room.name}" has sigma = 0 everywhere, so no coefficient can '
-                "change: give at least one sigma above 0"
+                f'room "{self.room.name}" has sigma = 0 everywhere; one must be above 0'
             )
         put("faces", of_room.of_geometry(self.geometry, self.surfaces))
 
@@ -739,10 +696,8 @@ class PositionsCase:
         """Leave out what run or measurement lacks (`Run.beside`); return notes of it."""
         whole, frequencies = self.measured, self.room.centre_frequencies
         if not np.array_equal(run.centre_frequencies, frequencies):
-            raise DataError(
-                f"simulated has {bands.span(run.centre_frequencies)}, but the room has "
-                f"{bands.span(frequencies)}. Simulate in the bands of the room"
-            )
+            own, of_room = bands.span(run.centre_frequencies), bands.span(frequencies)
+            raise DataError(f"simulated has {own}; it must have those of the room, {of_room}")
         both = Run(self.room, run).beside(whole, by_pair=True)
         keys = {name: observable(name).key_in(whole.values) for name in self.match}
         if not set(keys.values()) & both.measured.values.keys():
@@ -835,6 +790,7 @@ class PositionsCase:
         )
 
 
+_OTHER_ROOM = "simulator was made with another room; make it with the room that is given"
 _LEAST = 1e-6
 """Least standard uncertainty that is taken of a stated mean, of its share: none is exact."""
 
@@ -900,24 +856,16 @@ class StatesCase:
         checks.instance("equation", self.equation, LinearEquation)
         put("climate_uncertainty", _checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
-            raise DataError(
-                "climate_uncertainty is given, but the room has no air: give air, or leave "
-                "climate_uncertainty out"
-            )
+            raise DataError("climate_uncertainty is given, but the room has no air")
         notes = self._compare_pairs(put)
         put("notes", (*notes, *self._compare_times(put)))
         if self.simulator is not None:
             checks.instance("simulator", self.simulator, PathTracing)
             if self.simulator.room is not self.room:
-                raise DataError(
-                    "simulator was made with another room; make it with the room that is given"
-                )
+                raise DataError(_OTHER_ROOM)
             if lacking := [p for p in self.pairs if p not in self.simulator.pairs]:
-                raise DataError(
-                    f"the pair {' to '.join(lacking[0])} was measured, but the simulator "
-                    "does not have it; add it to the simulator, or leave it out of the "
-                    "measurement"
-                )
+                pair = " to ".join(lacking[0])
+                raise DataError(f"the pair {pair} was measured, but the simulator does not have it")
 
     def _compare_pairs(self, put: Callable[[str, object], None]) -> list[str]:
         """Set ``states``; return notes on bands and pairs that one lacks."""
@@ -933,8 +881,7 @@ class StatesCase:
             )
             raise DataError(
                 "before and after have no source-receiver pair in common: they have "
-                f"{' and '.join(each)}. Measure both at the same positions, and name these "
-                "alike"
+                f"{' and '.join(each)}. Name the same positions alike"
             )
         put("states", tuple(m.select(pairs) for m in states.values()))
         of_bands = {n: "; ".join(notes_of_bands(self.room, m)) for n, m in two.items()}
@@ -1071,23 +1018,18 @@ def case_of(
     if before is not None:
         of_pairs &= not checks.instance("before", before, Measurement).is_summary
     if simulator is not None and simulator.room is not room:
-        raise DataError("simulator was made with another room; make it with the room that is given")
+        raise DataError(_OTHER_ROOM)
     if simulator is not None and tracing:
-        raise DataError(
-            "tracing and simulator are both given: leave tracing out, and make the "
-            "simulator with these arguments"
-        )
+        raise DataError("tracing and simulator are both given: make the simulator with tracing")
     needs = (
-        "needs positions: a room with sources and receivers, and a measurement with values for each "
-        "pair"
+        "needs positions: a room with sources and receivers, and a measurement with values of pairs"
     )
     of_scene: dict[str, Any] = {}
     if simulator is None and of_pairs and room.scene.sources:
         if room.pieces:
             raise DataError(
-                f'room "{room.name}" has the [[object]] "{room.pieces[0]}", which has no surface, so '
-                "that rtcal cannot trace the room, as a search by positions must. Search by means over "
-                "positions with `rtcal find`: delete [sources] and [receivers] from the room's file"
+                f'room "{room.name}" has the [[object]] "{room.pieces[0]}", which has no surface to '
+                "trace. Search by means over positions: delete [sources] and [receivers] from its file"
             )
         options = checks.mapped("tracing", {} if tracing is None else tracing)
         checks.texts("tracing: names", options)
@@ -1100,23 +1042,17 @@ def case_of(
         for name, value in {**stated, "simulated": simulated}.items():
             if value:
                 raise DataError(
-                    f"{name} cannot be used in a search for what changed between two "
-                    "configurations: leave it out"
+                    f"{name} cannot be used in a search between two states: leave it out"
                 )
         return StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if simulator is not None and of_pairs:
         if program:
-            raise DataError(
-                "program can be used only with means over positions; for this measurement "
-                "rtcal traces the room itself: leave program out"
-            )
+            raise DataError("program can be used only with means over positions: leave it out")
         if simulated is not None:
             simulated.refuse_other(room)
             if not np.array_equal(simulated.room.alpha, room.alpha):
                 raise DataError(
-                    "this measurement has positions, so the simulation must have the "
-                    "room's own coefficients. Leave at out, and simulate with the "
-                    "coefficients of the room"
+                    "at positions, the simulation must have the room's own coefficients: leave at out"
                 )
             stated["simulated"] = simulated.simulated
         return PositionsCase(simulator=simulator, measured=measured, **{**of_scene, **stated})
