@@ -19,7 +19,7 @@ from __future__ import annotations
 import inspect
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
@@ -119,14 +119,24 @@ class Miss:
         return words
 
 
-def _missed(
-    quantity: str, place: str, unit: str, columns: Sequence[Array], jnd: Array, error: Array
-) -> Iterator[Miss]:
-    """Yield the bands whose gap exceeds 1 JND and its ``error``, from the columns of `Miss`."""
-    far = np.isfinite(jnd) & (np.abs(jnd) > np.maximum(1.0, np.nan_to_num(error)))
-    rows = zip(*(of[far].tolist() for of in (*columns, jnd)), strict=True)
-    for frequency, model, measured, u, by in rows:
-        yield Miss(quantity, place, frequency, model, measured, u, by, unit)
+def _misses(
+    quantity: str,
+    place: str,
+    frequencies: Array,
+    model: Array,
+    measured: Array,
+    uncertainty: Array,
+    unit: str,
+    step: Array,
+) -> list[Miss]:
+    """Return the bands that differ by more than the uncertainty and a ``step`` of 1 JND, (n_bands,)."""
+    jnd = (model - measured) / step
+    far = np.abs(jnd) > np.maximum(1.0, np.nan_to_num(uncertainty / step))
+    columns = (of[far].tolist() for of in (frequencies, model, measured, uncertainty, jnd))
+    return [
+        Miss(quantity, place, f, value, wanted, u, by, unit)
+        for f, value, wanted, u, by in zip(*columns, strict=True)
+    ]
 
 
 def mean_of_known(values: Array, axis: int | tuple[int, ...]) -> Array:
@@ -143,7 +153,7 @@ class Verification(Result):
     ``finding`` is the verified result of `rtcal.find`.
     """
 
-    record_kind: ClassVar[str] = "verification 8"
+    record_kind: ClassVar[str] = "verification 9"
     words_in: ClassVar[str] = WORDS
     in_file: ClassVar[str] = (
         "verdict sentence finding held_out before_jnd=before after_jnd=after gain_jnd=gain "
@@ -401,9 +411,7 @@ def verify(finding: Finding, case: Case | None = None, **options: Any) -> Verifi
     compare = of_kind[checks.instance("finding", finding, Finding).kind]
     options |= {} if case is None else {"case": case}
     for name in options.keys() - inspect.signature(compare).parameters.keys():
-        raise DataError(
-            f"{name} cannot be used to verify a finding from {DATA[finding.kind]}: leave it out"
-        )
+        raise DataError(f"{name} cannot be used with a finding from {DATA[finding.kind]}")
     return compare(finding, **options)
 
 
@@ -466,10 +474,8 @@ def _of_means(
         )
     (name, *others) = finding.members if effect is None else finding.chosen(effect)
     if others:
-        raise DataError(
-            f"{len(finding.members)} effects were found together, but only one can be "
-            "verified. Search for a single effect with most = 1"
-        )
+        n = len(finding.members)
+        raise DataError(f"{n} effects were found together; only one can be verified (most = 1)")
     own: Case = finding.case
     case = own if case is None else case
     observed, fitted = observe(case)[0], np.array(observe(own)[0].used, dtype=bool)
@@ -630,15 +636,9 @@ def _second_runs(
         if of is None:
             continue
         if given["simulated"] is None:
-            raise DataError(
-                "calibrated is given without simulated: add the simulation of the corrected "
-                "model as simulated"
-            )
+            raise DataError("calibrated is given without simulated, the run of the corrected model")
         if first is None:
-            raise DataError(
-                "the finding was made without a simulation, with which this one could be "
-                "compared. Search with simulated first"
-            )
+            raise DataError(f"{name} is given, but the search had no simulation to compare it with")
         both = Run(first.room, of).beside(measured, by_pair=by_pair)
         if not {*keys} & both.measured.values.keys():
             raise Run(first.room, of).nothing_common(measured)
@@ -647,10 +647,7 @@ def _second_runs(
             p in one.values and np.array_equal(one.values[p], values, equal_nan=True)
             for p, values in both.run.values.items()
         ):
-            raise DataError(
-                "simulated is the same simulation as that of the search; give a simulation of "
-                "the corrected model"
-            )
+            raise DataError("simulated is the same simulation as that of the search")
         runs[name] = both.run
         notes += both.left_out(keys)
     return runs, tuple(dict.fromkeys(notes))
@@ -680,17 +677,11 @@ def _misses_of_means(case: Case, observed: ObservedFeatures, features: Array) ->
     u[observed.used] = np.sqrt(np.diag(observed.covariance))
     out, several = list[Miss](), len(case.configurations) > 1
     for c, configuration in enumerate(case.configurations):
-        model = features[c, _T20]
-        measured = np.where(observed.used[c, _T20], observed.features[c, _T20], np.nan)
-        time, spread = np.exp(measured), u[c, _T20]
-        out += _missed(
-            configuration.measured.time_label,
-            configuration.name if several else "",
-            "s",
-            (case.room.centre_frequencies, np.exp(model), time, time * spread),
-            np.expm1(model - measured) / TARGET.jnd,
-            spread / TARGET.jnd,
-        )
+        time = np.exp(np.where(observed.used[c, _T20], observed.features[c, _T20], np.nan))
+        label, place = configuration.measured.time_label, configuration.name if several else ""
+        stated = time, time * u[c, _T20], "s", time * TARGET.jnd
+        model = np.exp(features[c, _T20])
+        out += _misses(label, place, case.room.centre_frequencies, model, *stated)
     return out
 
 
@@ -755,17 +746,16 @@ def at_pairs(
     )
 
 
-def _check_pairs(pairs: Sequence[object]) -> None:
+def _halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
+    """Return two halves with every source in both, and with every receiver if sources are two.
+
+    Raises DataError for fewer than `LEAST_PAIRS`.
+    """
     if len(pairs) < LEAST_PAIRS:
         raise DataError(
-            f"the measurement has {len(pairs)} source-receiver "
-            f"pair{'s' * (len(pairs) != 1)}, but a verification needs at least "
-            f"{LEAST_PAIRS}, because half of them must predict the others"
+            f"the measurement has {len(pairs)} source-receiver pairs, but a verification needs at "
+            f"least {LEAST_PAIRS}, because half of them must predict the others"
         )
-
-
-def _halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
-    """Return two halves with every source in both, and with every receiver if sources are two."""
     sources = list(dict.fromkeys(s for s, _ in pairs))
     receivers = list(dict.fromkeys(r for _, r in pairs))
     even = tuple((s, r) for s, r in pairs if (sources.index(s) + receivers.index(r)) % 2 == 0)
@@ -796,8 +786,8 @@ def _misses_over_pairs(
         one = of.scatter(frequencies, times) * (measured if of.logarithmic else 1.0)
         error = np.fmax(error, one / step / np.sqrt(len(pairs)))
     error = np.hypot(error, prediction)
-    columns = (frequencies, measured + step * mean, measured, step * np.nan_to_num(error))
-    return list(_missed(of.label, "", of.unit, columns, mean, error))
+    stated = measured, step * np.nan_to_num(error), of.unit, step
+    return _misses(of.label, "", frequencies, measured + step * mean, *stated)
 
 
 # Every position.
@@ -832,7 +822,7 @@ def _at_positions(
         raise DataError(f"seeds has a value twice: {', '.join(map(str, chosen))}")
     if finding.refusal is not None and effect is None and at is None:
         raise DataError(str(finding.refusal))
-    _check_pairs(finding.pairs)
+    halves, tried = _halves_of(finding.pairs), tuple(finding.effects.values())
     case: PositionsCase = finding.case
     runs = {"calibrated": calibrated, "simulated": simulated}
     keys = [observable(name).key_in(case.measured.values) for name in case.match]
@@ -844,11 +834,7 @@ def _at_positions(
         made = finding.apply(effect=effect, at=at)
     elif not (effect is None and at is None):
         name = "effect" if at is None else "at"
-        raise DataError(
-            f"{name} is given without simulated: add the simulation that contains this "
-            f"effect as simulated, or leave {name} out"
-        )
-    halves, tried = _halves_of(finding.pairs), tuple(finding.effects.values())
+        raise DataError(f"{name} is given without simulated, the run that contains this effect")
     added = list[Candidate | None]()
     for half in halves:
         again = find_by_positions(
@@ -1056,34 +1042,22 @@ def _of_states(
         raise DataError(f'no change was found that can be verified (verdict "{finding.verdict}")')
     if (before is None) != (after is None):
         lacking = "before" if before is None else "after"
-        raise DataError(
-            f"{lacking} is missing: give the measurements of further pairs both before and "
-            "after the change"
-        )
+        raise DataError(f"{lacking} is missing: measure further pairs before and after the change")
     if before is not None and after is not None:
         if seed:
-            raise DataError(
-                "seed cannot be given with before and after, which are the pairs to "
-                "predict: leave seed out"
-            )
+            raise DataError("seed cannot be given with before and after: leave seed out")
         if case.of_means or before.is_summary or after.is_summary:
-            raise DataError(
-                "before and after cannot be used with means over positions, which have no "
-                "single pairs: leave them out"
-            )
+            raise DataError("before and after cannot be used with means over positions")
         new = [p for p in before.pairs if p in after.pairs and p not in case.pairs]
         if len(new) < _LEAST_NEW:
-            raise DataError(
-                f"before and after have {len(new)} pairs that were not fitted, and at "
-                f"least {_LEAST_NEW} are needed; measure further pairs"
-            )
+            have = f"before and after have {len(new)} pairs that were not fitted"
+            raise DataError(f"{have}, and at least {_LEAST_NEW} are needed")
         held, fitted = _of_pairs(replace(case, before=before, after=after), new), "the other pairs"
         predicted = np.broadcast_to(finding.shift, held.change.shape)
     else:
-        _check_pairs(found.pairs)
+        halves, effects = _halves_of(found.pairs), tuple(finding.effects.values())
         predicted, fitted = np.full(found.change.shape, np.nan), "the other half of the pairs"
-        effects = tuple(finding.effects.values())
-        for half in _halves_of(found.pairs):
+        for half in halves:
             part = _of_pairs(case, half)
             again = find_change(part, effects=effects, seed=seed, without=finding.left_out)
             predicted[[pair not in half for pair in found.pairs]] = again.shift
