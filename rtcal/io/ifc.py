@@ -102,11 +102,7 @@ def faces(path: str, unit: float | None, space: str | None, weld: float) -> Face
             f"{place} has no shape that can be read: {why}. Draw it again in your program, or "
             "export the room as glTF"
         ) from error
-    if len(triangles) > budget.MAX_FACES:
-        raise DataError(
-            f"{path}: the model has {len(triangles)} triangles, but at most "
-            f"{budget.MAX_FACES} are read: simplify the model"
-        )
+    budget.require(len(triangles), budget.MAX_FACES, "triangles", path, "simplify the model")
     polygons: list[Array] = []
     materials: list[str] = []
     for corners in triangles:

@@ -27,6 +27,7 @@ from pathlib import Path
 from rtcal.acoustics import bands
 from rtcal.files.disk import read_bytes
 from rtcal.files.schema import TABLE, expecting
+from rtcal.io import budget
 from rtcal.io import table_columns as words
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import Column
@@ -99,8 +100,7 @@ def read(path: str | os.PathLike[str], *, columns: str = "") -> MaterialList:
         files = sorted(p for p in files[0].iterdir() if p.suffix.lower() in ENDINGS)
         if not files:
             raise DataError(f"{path}: the folder has no file that ends in {', '.join(ENDINGS)}")
-        if len(files) > MAX_FILES:
-            raise DataError(f"{path}: has {len(files)} files; at most {MAX_FILES} are read")
+        budget.require(len(files), MAX_FILES, "files", os.fspath(path))
     materials: dict[str, tuple[Path, ListedMaterial]] = {}
     for file in files:
         with expecting(TABLE, file):

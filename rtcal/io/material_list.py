@@ -35,6 +35,7 @@ from rtcal.acoustics.priors import SigmaRule
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.files.schema import TABLE, kind_of
+from rtcal.io import budget
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
 from rtcal.support import checks, text
@@ -1157,8 +1158,7 @@ def _rows_of(text: Text, path: str) -> list[tuple[str, int, list[Token]]]:
             (cell.strip(), begin + len(cell) - len(cell.lstrip()), begin + len(cell.rstrip()))
             for cell, begin, _ in tokens(r"(?:^|(?<=,))[^,]*", raw, start)
         ]
-        if len(cells) > _MAX_COLUMNS:
-            raise DataError(f"{place}: {len(cells)} columns; at most {_MAX_COLUMNS} are read")
+        budget.require(len(cells), _MAX_COLUMNS, "columns", place)
         if rows and len(cells) != len(rows[0][2]):
             raise DataError(
                 f"{place}: this row has {len(cells)} cells, but the header has {len(rows[0][2])}"

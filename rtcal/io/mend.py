@@ -44,6 +44,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from rtcal.io import budget
 from rtcal.simulators.geometry import (
     PLANARITY,
     Edge,
@@ -1593,11 +1594,8 @@ def mended(faces: Faces, *, weld: float = WELD, largest_hole: float | None = Non
             raise DataError(f"{name} = {value:g} {unit} must be finite and 0 or more")
     if not faces.polygons:
         raise DataError(f"{faces.path}: the mesh has no face; a room needs at least 4")
-    if len(faces.polygons) > 20 * MOST_FACES:
-        raise DataError(
-            f"{faces.path}: the mesh has {len(faces.polygons)} faces, but at most "
-            f"{20 * MOST_FACES} are read: simplify the model"
-        )
+    most = 20 * MOST_FACES
+    budget.require(len(faces.polygons), most, "faces", faces.path, "simplify the model")
     if (closed := _closed_as_drawn(faces, weld)) is not None:
         return closed
     return _closed_room(Mending(faces, max(weld, SAME), largest_hole))

@@ -45,7 +45,7 @@ from rtcal.acoustics.observables import (
 )
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.files.schema import TABLE, expecting
-from rtcal.io import instruments, workbook
+from rtcal.io import budget, instruments, workbook
 from rtcal.io.table_columns import (
     BARE_NUMBER,
     DECAY_TIMES_OF_RT60,
@@ -380,10 +380,7 @@ def _table(sheet: Sheet, options: _Options) -> _Table:
     while header and not header[-1]:  # a separator at the end of every line
         header = header[:-1]
     place = f"{sheet.place}, line {line}"
-    if len(header) > MAX_COLUMNS:
-        raise DataError(
-            f"{place}: the table has {len(header)} columns, but at most {MAX_COLUMNS} are read"
-        )
+    budget.require(len(header), MAX_COLUMNS, "columns", place)
     found = columns_of(header, options.where)
     if _has_split_decimals(found, header, body, sheet.separator):
         raise DataError(
@@ -1217,10 +1214,7 @@ def _measured(tables: Sequence[_Table], notes: list[str], options: _Options) -> 
         unused = (note for t in tables for note in t.notes if note.startswith(_UNUSED))
         raise DataError("; ".join([f"{places}: no row with a value below the header", *unused]))
     pairs = list(dict.fromkeys(key[:2] for key in values))
-    if len(pairs) > MAX_PAIRS:
-        raise DataError(
-            f"{places}: the table has {len(pairs)} positions, but at most {MAX_PAIRS} are read"
-        )
+    budget.require(len(pairs), MAX_PAIRS, "positions", places)
     if any(
         "standard_deviation" in v and not {"sources", "receivers"} <= {*v} for v in values.values()
     ):

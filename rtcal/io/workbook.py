@@ -56,8 +56,7 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     _check_size(content, path)
     values, formulas = (_workbook(content, path, stored) for stored in (True, False))
     visible = [s for s in values.worksheets if s.sheet_state == "visible"]
-    if len(visible) > MAX_SHEETS:
-        raise DataError(f"{path}: has {len(visible)} sheets; at most {MAX_SHEETS} are read")
+    budget.require(len(visible), MAX_SHEETS, "sheets", path)
     hidden = [f'"{shown(s.title)}"' for s in values.worksheets if s.sheet_state != "visible"]
     notes = [f"left out, hidden: {', '.join(hidden)}"] if hidden else []
     found = []
@@ -116,11 +115,8 @@ def _parsing(path: str) -> AbstractContextManager[None]:
 def _rows(values: Any, formulas: Any, place: str) -> tuple[list[Row], list[str]]:
     """Return the rows of a sheet that have a cell, as text, and notes."""
     n_rows, n_columns = values.max_row, values.max_column
-    if n_rows > MAX_ROWS or n_columns > MAX_COLUMNS:
-        raise DataError(
-            f"{place}: {n_rows} rows and {n_columns} columns; at most {MAX_ROWS} and "
-            f"{MAX_COLUMNS} are read"
-        )
+    budget.require(n_rows, MAX_ROWS, "rows", place)
+    budget.require(n_columns, MAX_COLUMNS, "columns", place)
     budget.require(n_rows * n_columns, budget.MAX_CELLS, "cells", place)
     filled = {
         (row, merged.min_col): (merged.min_row, merged.min_col)
