@@ -726,20 +726,17 @@ def _in_new_bands(
             'missing_bands="nearest"'
         )
     converted = room.in_bands(obtainable)
-    nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
-    taken = dict.fromkeys(k for f, k in zip(needed, nearest, strict=True) if f in missing)
-    notes = [
-        f"at {bands.hertz(lacking)}, which the room does not have, alpha is that at "
-        f"{bands.label(obtainable[k])}"
-        for k in taken
-        for lacking in [
-            [f for f, n in zip(needed, nearest, strict=True) if n == k and f in missing]
-        ]
-    ]
+    nearest = {f: int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed}
+    notes = list[str]()
+    for k in dict.fromkeys(nearest[f] for f in missing):
+        lacking = bands.hertz([f for f in missing if nearest[f] == k])
+        notes.append(
+            f"at {lacking}, which the room does not have, alpha is that at {bands.label(obtainable[k])}"
+        )
     tables = {n: getattr(converted, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
     return converted.replace(
         centre_frequencies=np.asarray(needed),
-        **{n: t[:, nearest] for n, t in tables.items() if t is not None},
+        **{n: t[:, [*nearest.values()]] for n, t in tables.items() if t is not None},
     ), notes
 
 

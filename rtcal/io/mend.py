@@ -524,35 +524,38 @@ def simplified(corners: list[int]) -> list[int]:
     return corners
 
 
-_MOST_OPEN = 5000  # Largest number of open edges whose loops are sought
+def loops_of(edges: Iterable[Edge]) -> list[list[int]]:
+    """Return the loops of some edges, each the shortest through an edge.
 
-
-def loops_of(edges: Collection[Edge]) -> list[list[int]] | None:
-    """Return the loops of some edges, each the shortest through an edge; None if one is open."""
+    The edges of an odd number of some faces have loops alone: an even number of them meets in a corner.
+    """
     neighbours: dict[int, set[int]] = {}
     for a, b in edges:
         neighbours.setdefault(a, set()).add(b)
         neighbours.setdefault(b, set()).add(a)
+
+    def remove(loop_edges: Iterable[Edge]) -> None:
+        for a, b in loop_edges:
+            neighbours[a].discard(b)
+            neighbours[b].discard(a)
+
     loops: list[list[int]] = []
     for first in sorted(neighbours):
         while neighbours[first]:
             second = min(neighbours[first])
-            before, queue = {second: first}, [second]
+            remove([(first, second)])
+            before, queue = {second: second}, [second]
             for here in queue:  # the list grows during the loop
-                new = neighbours[here] - {*before, *[first] * (here == second)}
-                before |= dict.fromkeys(sorted(new), here)
-                queue += sorted(new - {first})
+                new = sorted(n for n in neighbours[here] if n not in before)
+                before |= dict.fromkeys(new, here)
+                queue += new
                 if first in new:
                     break
-            if first not in before or len(edges) > _MOST_OPEN:
-                return None
-            loop = [first, before[first]]
+            loop = [first]
             while loop[-1] != second:
                 loop.append(before[loop[-1]])
             loops.append(loop)
-            for a, b in edges_of(loop):
-                neighbours[a].discard(b)
-                neighbours[b].discard(a)
+            remove(edges_of(loop))
     return loops
 
 
@@ -717,8 +720,8 @@ def outlined(mend: Mending, faces: list[list[int]]) -> list[list[int]]:
     if len(faces) == 1:
         return faces
     count = Counter(edge for corners in faces for edge in edges_of(corners))
-    loops = loops_of([edge for edge, n in count.items() if n == 1])
-    if loops is None or len(loops) != 1:
+    loops = loops_of(edge for edge, n in count.items() if n % 2)
+    if len(loops) != 1:
         return faces
     (loop,) = loops
     corners = mend.points[loop]
@@ -782,18 +785,9 @@ def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     """Return the shell with its small holes closed; MeshError for a large one."""
     mend, missing, holes = part.mend, part.open_edges(), _holes(part)
     largest = _HOLE_SHARE * part.size if mend.largest_hole is None else mend.largest_hole
-    large = sorted((h for h in holes or () if h.area > largest), key=lambda h: -h.area)
-    if holes is None or large:
-        _note_others(part, others)
-    if holes is None:
-        a, b = next(iter(missing))
-        raise mend.refused(
-            f"the mesh has {len(missing)} open edges that do not bound a hole, the first "
-            f"from {mend.place(a)} to {mend.place(b)}: faces are missing there, or they "
-            f"cross each other; {_LOOPS}",
-            missing,
-        )
+    large = sorted((h for h in holes if h.area > largest), key=lambda h: -h.area)
     if large:
+        _note_others(part, others)
         each = "; ".join(
             f"hole of {rounded(hole.area, 3)} m² at {mend.place(hole.loop[0])}, beside "
             f'"{part.faces[missing[edges_of(hole.loop[:2])[0]]].name}"'
@@ -859,11 +853,10 @@ _MOST_FOLDS = 24
 """Largest number of corners in two planes of which two or three are sought that divide a rim."""
 
 
-def _holes(part: FaceSet) -> list[_Hole] | None:
-    """Return the holes of a shell; None if its open edges bound none."""
+def _holes(part: FaceSet) -> list[_Hole]:
+    """Return the holes of a shell."""
     missing = part.open_edges()
-    loops = loops_of(missing)
-    return None if loops is None else [_hole(part, missing, loop) for loop in loops]
+    return [_hole(part, missing, loop) for loop in loops_of(missing)]
 
 
 def _hole(part: FaceSet, missing: Mapping[Edge, int], loop: list[int]) -> _Hole:
@@ -1003,12 +996,8 @@ def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> Mes
 
 def _left_open(shell: FaceSet) -> list[Defect]:
     """Return the holes of a shell that is taken as it is drawn; their area is not in S."""
-    holes = _holes(shell)
-    if holes is None:
-        done = "bound no hole: the area that S lacks there is unknown"
-        return [Defect("open edge", len(shell.open_edges()), 0.0, 0.0, 0.0, 0.0, (), done)]
     found = list[Defect]()
-    for h in holes:
+    for h in _holes(shell):
         at, done = (f"at {shell.mend.place(h.loop[0])}, {h.beside}",), "left as drawn and not in S"
         found.append(Defect("open hole", 1, h.area, 0.0, 0.0, 0.0, at, done, h.unsure))
     return [reduce(add, found)] if found else []
