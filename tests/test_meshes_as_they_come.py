@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,21 @@ def test_a_mesh_far_from_the_origin_is_the_same_room(seed):
     done = mend.mended(near)
     assert far.volume == pytest.approx(done.volume, rel=1e-4)
     assert far.areas == pytest.approx(done.areas, rel=1e-4)
+
+
+def test_a_finely_divided_vault_keeps_its_shape():
+    """Neighbours are in one plane within a millimetre, but not all of them together."""
+    angle = np.linspace(0, np.pi, 261)
+    arc = np.column_stack([5 * np.cos(angle), 0 * angle, 5 * np.sin(angle)])
+    end, far = [0, 0, 0], np.array([0, 7, 0])
+    drawn = [("floor", [arc[0], arc[-1], arc[-1] + far, arc[0] + far])]
+    for a, b in pairwise(arc):
+        drawn.append(("vault", [a, b, b + far, a + far]))
+    sides = [("side", [end + y, a + y, b + y]) for y in (0 * far, far) for a, b in pairwise(arc)]
+    rug = ("rug", [[1, 1, 0.03], [2, 1, 0.03], [2, 2, 0.03], [1, 2, 0.03]])
+    done = mended([*halved([*drawn, rug]), *sides])
+    assert done.volume == pytest.approx(7 * np.pi * 5**2 / 2, rel=1e-3)
+    assert done.areas["vault"] == pytest.approx(7 * np.pi * 5, rel=1e-3)
 
 
 def test_low_screens_and_fins_reflect_on_both_sides():

@@ -438,18 +438,13 @@ class FaceSet:
         """Return the edges, divided at all corners, of an odd number of faces, and one face of each."""
         return {e: sides[0] for e, sides in self.owners().items() if len(sides) % 2}
 
-    def groups(self, pairs: Sequence[Sequence[int]]) -> list[FaceSet]:
-        """Return the faces of each group that pairs of numbers join."""
-        links = coo_array(
-            (np.ones(len(pairs)), np.reshape(pairs, (-1, 2)).astype(int).T),
-            shape=(len(self.faces), len(self.faces)),
-        )
-        number, label = connected_components(links, directed=False)
-        return [self.kept(label == k) for k in range(number)]
-
     def components(self) -> list[FaceSet]:
         """Return the faces of each component: faces are joined where two meet in an edge."""
-        return self.groups([sides for sides in self.owners().values() if len(sides) == 2])
+        n = len(self.faces)
+        pairs = np.array([s for s in self.owners().values() if len(s) == 2], dtype=int)
+        links = coo_array((np.ones(len(pairs)), pairs.reshape(-1, 2).T), shape=(n, n))
+        number, label = connected_components(links, directed=False)
+        return [self.kept(label == k) for k in range(number)]
 
     def polyhedron(self) -> Polyhedron:
         """Return the closed room of the faces; DataError if they do not close."""
@@ -693,25 +688,30 @@ def _snapped(part: FaceSet) -> FaceSet:
 
 def _joined(part: FaceSet) -> FaceSet:
     """Return the faces of a mesh of triangles, with neighbours in one plane joined to one polygon."""
-    mend, faces = part.mend, part.faces
+    mend, points, faces = part.mend, part.mend.points, part.faces
     if len(faces) < 8 or not all(len(face.corners) == 3 for face in faces):
         return part
     sides: dict[Edge, list[int]] = {}
     for i, face in enumerate(faces):
         for edge in edges_of(face.corners):
             sides.setdefault(edge, []).append(i)
-    planes = [Polygon(corners) for corners in part.polygons]
-    pairs = [
-        (i, j)
-        for i, j in (pair for pair in sides.values() if len(pair) == 2)
-        if faces[i].material == faces[j].material
-        and max(planes[i].thickness(planes[j].corners), planes[j].thickness(planes[i].corners))
-        < PLANARITY * 0.45
-    ]
+    is_done = [False] * len(faces)
     out = FaceSet(mend)
-    for piece in part.groups(pairs):
-        loops = outlined(mend, piece.loops)
-        out.faces += [piece.faces[0]._replace(corners=loop) for loop in loops]
+    for first in np.argsort(-part.areas, kind="stable").tolist():
+        if is_done[first]:
+            continue
+        is_done[first] = True
+        members, plane = [first], Polygon(points[faces[first].corners])
+        for i in members:  # the list grows during the loop
+            for j in (
+                k for e in edges_of(faces[i].corners) if len(sides[e]) == 2 for k in sides[e]
+            ):
+                is_alike = not is_done[j] and faces[j].material == faces[first].material
+                if is_alike and plane.thickness(points[faces[j].corners]) < PLANARITY * 0.45:
+                    is_done[j] = True
+                    members.append(j)
+        loops = outlined(mend, [faces[i].corners for i in members])
+        out.faces += [faces[first]._replace(corners=loop) for loop in loops]
     return out
 
 
