@@ -1,25 +1,18 @@
 """What is measured at each position and how it may err, and how the simulator may.
 
-What a measurement states is taken. Where it states no uncertainty, two parts are assumed. In a band of
-bandwidth B a response is noise-like: the energy within dt scatters by 1 / sqrt(B dt), differently at
-each pair, and every parameter follows. The second part is common to all pairs of a band: equipment and
-evaluation.
+Stated uncertainties are taken. Where a measurement states none, two are assumed: in a band of bandwidth
+B a response is noise-like, so that the energy within dt scatters by 1 / sqrt(B dt), differently at each
+pair; and equipment and evaluation add an error that is common to all pairs of a band.
 
-The simulator's own error is that of reference simulations in the room's own geometry. A reference
-simulation is a path tracing of the same room in which everything differs that is not known: how the
-walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
-from the prior. Its values less the simulator's for the same alpha are an error as the simulator may
-have against the real room. The covariance of these errors says how far to trust it.
+The simulator's own error is that of reference simulations in the room's own geometry. Each is a path
+tracing of the room in which everything differs that is not known: how the walls scatter, where sources
+and receivers stand, the random numbers, and alpha, which is drawn from the prior. Its values less the
+simulator's for the same alpha are an error as the simulator may have against the real room.
 
 No input states how a room scatters as a tracer takes it. The traced paths give the dependence of every
 observation on the scattering of each material (`PathTracing.scattering_jacobian`), so the scattering
 coefficients are unknowns as alpha is, with a wide prior around the input. A first linear step fits them
-to the measurement. The room is traced once more with them, and the calibration's steps go on from
-there.
-
-Reference simulations differ in scattering, too. They show what the other meaning of the coefficients
-adds, and which error is left: it is larger where less is scattered. The noise of the reference
-simulations is no part of it, and runs far from the line count less.
+to the measurement, the room is traced once more with them, and the calibration goes on from there.
 """
 
 from __future__ import annotations
@@ -105,8 +98,8 @@ class MeasuredPairs:
     """
 
     observations: Observations
-    covariance: Array  # of the errors of the values used, (n_used, n_used)
-    level: str  # "absolute" of G, "relative" of one reference for a source's positions, or ""
+    covariance: Array
+    level: str
     notes: tuple[str, ...]
     fingerprints: tuple[str, ...]
 
@@ -179,77 +172,54 @@ def pairs_to_match(
             'each source and receiver. Use match=("t20",) to match the mean'
         )
     measured.refuse_other_units()
-    notes, pairs = [], simulated.pairs
     refuse_unknown(exclude, measured)
-    kept = tuple(p for p in pairs if p in measured.pairs and p not in exclude)
+    kept = tuple(p for p in simulated.pairs if p in measured.pairs and p not in exclude)
     if not kept:
         raise DataError(
             "no pair is both measured and simulated: the measurement has "
-            f"{_names(measured.pairs)}, the simulator {_names(pairs)}"
+            f"{_names(measured.pairs)}, the simulator {_names(simulated.pairs)}"
             + (f", and {_names(exclude)} is excluded" if exclude else "")
         )
-    if exclude:
-        notes.append(left_out(exclude))
-    wanted = room.centre_frequencies
-    in_room = measured.in_bands(wanted)
-    times = any(observable(name).logarithmic for name in match)
-    what = "T" if times else "What was measured"
+    notes, wanted = [left_out(exclude)] if exclude else [], room.centre_frequencies
+    what = "T" if any(observable(name).logarithmic for name in match) else "What was measured"
     notes += map(as_sentence, bands.notes(measured.centre_frequencies, wanted, what))
-    level = ""
-    if LEVEL.key in match:
-        level = "relative" if LEVEL.key in measured.values else "absolute"
-        if LEVEL.key_in(measured.values) not in measured.values:
-            level = ""
-    observations = Observations.of_measurement(in_room, match, kept)
-    absent = [
-        p
-        for p, of_parameter in zip(match, observations.values, strict=True)
-        if np.isnan(of_parameter).all()
-    ]
-    if len(absent) == len(match):
-        raise DataError(
-            f"the measurement has none of {', '.join(map(parameter_label, match))} at the "
-            "simulator's pairs"
-        )
+    in_room = measured.in_bands(wanted)
+    every = Observations.of_measurement(in_room, match, kept)
+    present = [p for p in match if np.isfinite(every.natural(p)).any()]
+    absent = [p for p in match if p not in present]
+    of_absent = ", ".join(map(parameter_label, absent))
+    if not present:
+        raise DataError(f"the measurement has none of {of_absent} at the simulator's pairs")
     if absent:
-        notes.append(
-            f"Not matched, because it was not measured: {', '.join(map(parameter_label, absent))}."
-        )
-        present = [p for p in match if p not in absent]
-        observations = Observations.of_measurement(in_room, present, kept)
-    missing = np.count_nonzero(np.isnan(observations.values))
-    if missing:
+        notes.append(f"Not matched, because it was not measured: {of_absent}.")
+    observations = Observations.of_measurement(in_room, present, kept)
+    if missing := np.count_nonzero(np.isnan(observations.values)):
         notes.append(f"Of {observations.values.size} values {missing} are missing, and left out.")
-    if all(o.key in observations.parameters for o in REVERBERATION) and (copy := copied(measured)):
+    if all(o.key in present for o in REVERBERATION) and (copy := copied(measured)):
         notes.append(f"{copy}. Both are matched, and count twice: leave one out of match.")
-    if LEVEL.key in absent:
-        level = ""
-    compared = observations
+    level, identified = "", observations
+    if LEVEL.key in present:
+        level = "relative" if LEVEL.key in measured.values else "absolute"
     if level == "relative":
-        row = observations.parameters.index(LEVEL.key)
-        columns = [simulated.pairs.index(pair) for pair in kept]
-        levels = simulated.values[simulated.parameters.index(LEVEL.key)][columns]
-        compared = _with_level(
-            observations, _with_reference(observations.values[row], levels, kept)
-        )
+        row = present.index(LEVEL.key)
+        levels, like = (of.values[row] for of in (observations, simulated.at(observations)))
+        observations = _with_level(observations, _with_reference(levels, like, kept))
         # Whatever the reference, the same data have the same name: by distances from their own mean.
-        own = _with_reference(observations.values[row], np.zeros_like(levels), kept)
-        observations = _with_level(observations, np.abs(own))
+        own = _with_reference(levels, np.zeros_like(levels), kept)
+        identified = _with_level(identified, np.abs(own))
     return MeasuredPairs(
-        observations=compared,
-        covariance=_covariance(compared, in_room, level, simulated),
+        observations=observations,
+        covariance=_covariance(observations, in_room, level, simulated),
         level=level,
         notes=tuple(notes),
-        fingerprints=fingerprints(room, observations, measured),
+        fingerprints=fingerprints(room, identified, measured),
     )
 
 
 def without_place(measured: Measurement, pairs: Sequence[Pair]) -> list[str]:
     """Return a note on measured pairs that the simulator lacks; an empty list without any."""
-    unknown = [p for p in measured.pairs if p not in pairs]
-    return [f"Measured, but left out as pairs that the simulator lacks: {_names(unknown)}."] * bool(
-        unknown
-    )
+    names = _names([pair for pair in measured.pairs if pair not in pairs])
+    return [f"Measured, but left out as pairs that the simulator lacks: {names}."] if names else []
 
 
 def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:
@@ -335,15 +305,8 @@ def _covariance(
 ) -> Array:
     """Return the covariance of the measurement's errors, over the values that are there."""
     parameters, pairs = observations.parameters, observations.pairs
-    frequencies = observations.centre_frequencies
-    shape = observations.values.shape
-    _, n_pairs, n_bands = shape
-    full = np.zeros((*shape, *shape))
-    times = np.full(n_bands, np.nan)
-    for name, kind in OBSERVABLES.items():  # the first that tells it
-        times = np.where(np.isfinite(times), times, kind.decay_time(measured.mean(name)))
-    times = np.where(np.isfinite(times), times, 1.0)
-    assumed = _COMMON * np.array([observable(p).between_teams(frequencies) for p in parameters])
+    frequencies, shape = observations.centre_frequencies, observations.values.shape
+    n_parameters, n_pairs, n_bands = shape
     alone = stated_uncertainty(observations, measured, measured.uncertainty)
     common = stated_uncertainty(observations, measured, measured.common_uncertainty)
     if (small := alone < _LEAST).any():
@@ -354,28 +317,30 @@ def _covariance(
             f"{alone[p, i, k]:.1g} (of the value, or in dB), but no measurement has less "
             f"than {_LEAST:g}; give the measured uncertainty"
         )
+    times = np.full(n_bands, np.nan)
+    for name, kind in OBSERVABLES.items():  # the first that has one
+        times = np.where(np.isfinite(times), times, kind.decay_time(measured.mean(name)))
+    times = np.where(np.isfinite(times), times, 1.0)
+    assumed = _COMMON * np.array([observable(p).between_teams(frequencies) for p in parameters])
     of_team = np.where(np.isfinite(alone), 0.0, assumed[:, np.newaxis])
     shared = np.where(np.isfinite(common), common, of_team)
     direct = np.zeros((n_pairs, n_bands))
     if simulated.direct is not None:
         direct = simulated.direct[[simulated.pairs.index(pair) for pair in pairs]]
+    widths = bands.bandwidth_factor(frequencies) * frequencies
+    same_source = np.equal.outer(*[np.array([source for source, _ in pairs])] * 2)
+    is_level = np.array([level == "relative" and p == LEVEL.key for p in parameters])
+    full = np.zeros((*shape, *shape))
     for k in range(n_bands):
-        bandwidth = float(bands.bandwidth_factor(frequencies) * frequencies[k])
-        noise = response_noise(parameters, times[k], bandwidth, direct[:, k])
-        for i in range(n_pairs):
-            full[:, i, k, :, i, k] = noise[i]
-    for p, i, k in np.argwhere(np.isfinite(alone)):
-        full[p, i, k] = 0.0
-        full[:, :, :, p, i, k] = 0.0
-        full[p, i, k, p, i, k] = alone[p, i, k] ** 2
-    for p, k in np.ndindex(len(parameters), n_bands):
-        full[p, :, k, p, :, k] += np.outer(shared[p, :, k], shared[p, :, k])
-    if level == "relative" and LEVEL.key in parameters:
-        p = parameters.index(LEVEL.key)
-        sources = np.array([s for s, _ in pairs])
-        same = (sources[:, np.newaxis] == sources).astype(float)
-        for k in range(n_bands):
-            full[p, :, k, p, :, k] += _OFFSET**2 * same
+        noise = response_noise(parameters, times[k], float(widths[k]), direct[:, k])
+        own = np.einsum("ipq,ij->piqj", noise, np.eye(n_pairs))
+        stated = np.isfinite(alone[:, :, k])
+        own[stated] = own[:, :, stated] = 0.0
+        own[stated, stated] = alone[stated, k] ** 2
+        between = np.einsum("pi,pj->pij", shared[:, :, k], shared[:, :, k])
+        between += np.multiply.outer(is_level, _OFFSET**2 * same_source)
+        own += np.einsum("pij,pq->piqj", between, np.eye(n_parameters))
+        full[:, :, k, :, :, k] = own
     used = np.isfinite(observations.values).ravel()
     size = observations.values.size
     return np.asarray(full.reshape(size, size)[np.ix_(used, used)])
@@ -476,22 +441,22 @@ class BeyondPrior:
     of_bands: int
 
     def __str__(self) -> str:
-        name = parameter_label(self.parameter)
-        sigma = abs(self.z) / _REACH
-        needed = f"a mean coefficient of {self.needed:.2f} instead of the input's {self.stated:.2f}"
+        name, sigma = parameter_label(self.parameter), abs(self.z)
+        needed = f"of {self.needed:.2f} instead of the input's {self.stated:.2f}"
         advice = (
-            f"Enter a sigma {sigma:.0f} times as large if the coefficients are guesses, or look"
+            f"Enter a sigma {sigma / _REACH:.0f} times as large if the coefficients are guesses"
         )
         if not 0 < self.needed < _POSSIBLE:
-            needed = f"a mean coefficient {'below 0' if self.needed <= 0 else f'above {_POSSIBLE}'}"
-            advice = "Check the unit of T and the size of the room, or look"
+            needed = "below 0" if self.needed <= 0 else f"above {_POSSIBLE}"
+            advice = "Check the unit of T and the size of the room"
         return (
             f"The input coefficients and their sigma cannot explain the measured {name} in "
             f"{self.bands} of {self.of_bands} bands. At {label(self.frequency)} the measured {name} is "
             f"{self.measured:.2f} s. The simulation with the input coefficients has "
             f"{self.simulated:.2f} s, and coefficients within {_REACH:g} sigma of the input reach "
-            f"{self.reached:.2f} s. The measured {name} requires {needed}, which is "
-            f"{abs(self.z):.0f} sigma away. {advice} for what is missing from the model (`rtcal find`)."
+            f"{self.reached:.2f} s. The measured {name} requires a mean coefficient {needed}, which is "
+            f"{sigma:.0f} sigma away. {advice}, or look for what is missing from the model "
+            "(`rtcal find`)."
         )
 
 
@@ -510,9 +475,11 @@ def beyond_prior(model: Any, room: Room, prior: Array, error: Array) -> BeyondPr
     rows = np.flatnonzero(parameter == parameters.index(known[0]))
     bands = np.unique(band[rows])
     weight = (band[rows] == bands[:, np.newaxis]).astype(float)
-    weight /= weight.sum(axis=1, keepdims=True)
-    goal = np.exp(weight @ data.observations.values[data.used][rows])
-    has = np.exp(weight @ model.values(room.alpha)[data.used][rows])
+    weight /= weight.sum(axis=1, keepdims=True)  # means over the pairs of each band
+    goal, has = (
+        np.exp(weight @ values[data.used][rows])
+        for values in (data.observations.values, model.values(room.alpha))
+    )
     more = has / goal - 1
     slopes, own = weight @ model.jacobian(room.alpha)[rows], model.used[rows]
     errors = data.covariance[np.ix_(rows, rows)] + error[np.ix_(own, own)]
@@ -561,9 +528,8 @@ def means(measurement: Measurement) -> dict[str, Array]:
 class Compared:
     """Hold values at the same pairs: measured, and simulated before and after a calibration.
 
-    ``relative`` is True if the reference of the measured level is unknown.
-
     ``measured``, ``before`` and ``after`` are `Observations` with the same parameters, pairs and bands.
+    ``relative`` is True if the reference of the measured level is unknown.
     """
 
     measured: Observations
@@ -692,23 +658,17 @@ class ControlRuns:
     """
 
     parameters: tuple[str, ...]
-    """Keys of the parameters, such as "t20"."""
     pairs: tuple[tuple[str, str], ...]
-    """Names of source and receiver of each pair, as in `rtcal.simulators.base.Observations`."""
     errors: Array
-    """Values of each reference simulation minus those of the simulator for the same alpha, (n_runs,
-    n_parameters, n_pairs, n_bands)."""
     levels: Array | None = None
-    """Mean scattering coefficient over the surfaces in each reference simulation, (n_runs,)."""
     models: tuple[ScatteringModel, ...] = ()
-    """Scattering model of each reference simulation, (n_runs,)."""
     more_paths: int = 1
-    """Factor on the number of paths of the reference simulations; see `simulated_controls`."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "parameters", checks.texts("parameters", self.parameters))
-        object.__setattr__(self, "pairs", checks.pairs("pairs", self.pairs))
-        object.__setattr__(self, "models", checks.texts("models", self.models))
+        put = partial(object.__setattr__, self)
+        put("parameters", checks.texts("parameters", self.parameters))
+        put("pairs", checks.pairs("pairs", self.pairs))
+        put("models", checks.texts("models", self.models))
         checks.whole("more_paths", self.more_paths, 1)
         shape = ("n_runs", len(self.parameters), len(self.pairs), "n_bands")
         errors = checks.shaped("errors", self.errors, *shape)
@@ -717,14 +677,14 @@ class ControlRuns:
                 f"the errors of {len(errors)} runs are given; they must be finite, and of at "
                 "least 2 runs"
             )
-        object.__setattr__(self, "errors", errors)
-        if self.levels is None:
-            return
-        object.__setattr__(self, "levels", checks.shaped("levels", self.levels, len(errors)))
-        if len(self.models) != len(errors):
-            raise DataError(
-                f"models has {len(self.models)} texts; give one for each of the {len(errors)} runs"
-            )
+        put("errors", errors)
+        if self.levels is not None:
+            put("levels", checks.shaped("levels", self.levels, len(errors)))
+            if len(self.models) != len(errors):
+                raise DataError(
+                    f"models has {len(self.models)} texts; give one for each of the "
+                    f"{len(errors)} runs"
+                )
 
     def __repr__(self) -> str:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
@@ -743,12 +703,8 @@ class ControlRuns:
             )
         rows = [self.parameters.index(p) for p in parameters]
         columns = [self.pairs.index(p) for p in pairs]
-        return replace(
-            self,
-            parameters=tuple(parameters),
-            pairs=tuple(pairs),
-            errors=self.errors[:, rows][:, :, columns],
-        )
+        errors = self.errors[:, rows][:, :, columns]
+        return replace(self, parameters=tuple(parameters), pairs=tuple(pairs), errors=errors)
 
     def covariance(self) -> Array:
         """Return the covariance of the simulator's error, (n, n) for n = parameters x pairs x bands.
@@ -778,11 +734,8 @@ class ControlRuns:
     def without_noise(self, noise: Array) -> ControlRuns:
         """Return the errors, reduced to the variance that they would have without noise of the paths.
 
-        Parameters
-        ----------
-        noise : array (n_parameters, n_bands)
-            Variance of the values of one pair in one reference simulation by its finite number of
-            paths.
+        ``noise`` (n_parameters, n_bands) is the variance of the values of one pair in one reference
+        simulation by its finite number of paths.
         """
         noise = noise / self.more_paths
         n_pairs = self.errors.shape[2]
@@ -864,18 +817,6 @@ def simulated_controls(
     traced = tracing is simulator
     if traced:
         simulator = base
-    path = None
-    if cache is not None and not after:
-        settings = {
-            name: value
-            for name, value in vars(simulator).items()
-            if isinstance(value, (int, float, str, bool, type(None)))
-        }
-        tables = (room.alpha, room.sigma, room.centre_frequencies)
-        of_room = [*(each.tolist() for each in tables), room.air and asdict(room.air)]
-        numbers = [seed, uncertainty, RUNS, n_paths, room.band_correlation]
-        key = key_of(base, simulator.name, settings, of_room, list(match), numbers)
-        path = checks.path("cache", cache) / f"{key}.array"
     # What is not known is drawn alike for every seed, as the nodes of a quadrature: the paths alone
     # depend on the seed.
     rng = np.random.default_rng(20)
@@ -891,24 +832,24 @@ def simulated_controls(
 
     def runs(errors: Array) -> ControlRuns:
         kept = [i for i, of_run in enumerate(errors) if not np.isnan(of_run).all()]
+        scattering = np.array([drawn[i][0]["scattering"] for i in kept])
         return ControlRuns(
             parameters=names,
             pairs=base.pairs,
             errors=errors[kept],
-            levels=np.array(
-                [
-                    mean_scattering(drawn[i][0]["scattering"][:, np.newaxis], room.areas)
-                    for i in kept
-                ]
-            ),
+            levels=np.average(scattering, axis=1, weights=room.areas),
             models=tuple(drawn[i][0]["scattering_model"] for i in kept),
             more_paths=more_paths,
         )
 
-    kept = None if path is None else disk.read(path)
-    if kept is not None and kept.shape == (RUNS, *shape):
-        with suppress(RtcalError):  # another's file
-            return runs(kept)
+    path = None
+    if cache is not None and not after:
+        numbers = [seed, uncertainty, RUNS, n_paths]
+        path = checks.path("cache", cache) / _kept_as(base, simulator, room, match, numbers)
+        kept = disk.read(path)
+        if kept is not None and kept.shape == (RUNS, *shape):
+            with suppress(RtcalError):  # another's file
+                return runs(kept)
 
     def own(alpha: Array, again: bool) -> Array:
         """Return the simulator's own values for the alpha of a run."""
@@ -921,6 +862,11 @@ def simulated_controls(
     trace_ahead(simulator, room.alpha, seed)
     errors, factors = list[Array](), list[float]()
     task = partial(_of_run, base, match, [values_of for _, values_of in after], seed)
+
+    def again() -> bool:
+        """Return whether as many runs were left out as may be."""
+        return sum(np.isnan(of_run).all() for of_run in errors) == _LEFT_OUT
+
     with workforce(scheduler, threads=1) as workers:  # a run's paths are traced on all cores
 
         def error(job: _Job, made: _Made | None) -> Array:
@@ -940,26 +886,34 @@ def simulated_controls(
             return np.full(shape, np.nan)
 
         while (done := len(errors)) < RUNS:
-            again = sum(np.isnan(of_run).all() for of_run in errors) == _LEFT_OUT
             # How long the later ones of these runs must be depends on the earlier ones. They begin as
             # if those needed no more than the last, and are run anew where they did.
             most = min(workers.size, RUNS - done if errors else len(MODELS))
             jobs = [
-                _Job(run, drawn[run][0], (drawn[run][1], room.alpha), length, again)
-                for run in range(done, done + most)
-                for length in [_length(run, factors, run - done)]
+                _Job(run, varied, (alpha, room.alpha), _length(run, factors, run - done), again())
+                for run, (varied, alpha) in enumerate(drawn[done : done + most], done)
             ]
             for job, made in zip(jobs, workers.in_order(task, jobs), strict=False):
-                left_out = sum(np.isnan(of_run).all() for of_run in errors)
-                if (job.ahead, again) != (_length(job.run, factors), left_out == _LEFT_OUT):
+                if (job.ahead, job.again) != (_length(job.run, factors), again()):
                     break
                 errors.append(error(job, made))
                 if progress is not None:
                     progress(len(errors), RUNS)
-    made = np.array(errors)
     if path is not None:
-        disk.write(path, made)
-    return runs(made)
+        disk.write(path, np.array(errors))
+    return runs(np.array(errors))
+
+
+def _kept_as(
+    base: PathTracing, simulator: Simulator, room: Room, match: Sequence[str], numbers: list[float]
+) -> str:
+    """Return the name of the file that keeps reference simulations: a hash of all they depend on."""
+    simple = int, float, str, bool, type(None)
+    settings = {name: v for name, v in vars(simulator).items() if isinstance(v, simple)}
+    tables = (room.alpha, room.sigma, room.centre_frequencies)
+    of_room = [*(each.tolist() for each in tables), room.air and asdict(room.air)]
+    numbers = [*numbers, room.band_correlation]
+    return f"{key_of(base, simulator.name, settings, of_room, list(match), numbers)}.array"
 
 
 class _Job(NamedTuple):

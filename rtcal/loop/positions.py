@@ -103,9 +103,8 @@ def simulator_error(
     The n values are the measured parameters at all pairs of the simulator. ``controls`` are the errors
     in reference simulations; None if they are unknown. ``groups`` (n_groups, n_parameters, n_pairs,
     n_bands) are the values of groups of paths; None for a simulator without paths. The second result is
-    None if the input scattering is kept. Scattering can only be fitted for a `PathTracing` with the
-    model "random", because only its paths show the effect of scattering; coefficients of 0 and 1 are
-    always kept.
+    None if the input scattering is kept: only the paths of a `PathTracing` with the model "random" show
+    the effect of scattering.
     """
     parameters = model.data.observations.parameters
     if controls is None:
@@ -246,9 +245,9 @@ class PairsModel:
         key = alpha.tobytes()
         if key not in self._slopes:
             self.calls += 1
-            parameters = self.data.observations.parameters
-            slopes = jacobian(self.simulator, alpha, parameters, seed=self.seed)
-            self._slopes[key] = by_band(slopes[:, self._columns])[self.data.used.ravel()]
+            of = self.data.observations.parameters
+            slopes = jacobian(self.simulator, alpha, of, seed=self.seed)[:, self._columns]
+            self._slopes[key] = by_band(slopes)[self.data.used.ravel()]
         return self._slopes[key]
 
     def scattered(self, alpha: Array, tracer: PathTracing, change: Array) -> PairsModel:
@@ -697,7 +696,7 @@ def calibrate_positions(
         room, measured = low.room, above_schroeder(measured, room, low.below)
         repeated = (*repeated, low.loop_note)
     given, wanted = simulator, with_t30(match, measured)
-    replaced = wanted != tuple(match)
+    of_t30 = [T30_ALONE] if wanted != tuple(match) else []
     tracer = simulator if complete(simulator).tracing is simulator else None
     if tracer is not None:
         # Data that were used before are refused before the paths are traced.
@@ -706,19 +705,13 @@ def calibrate_positions(
     simulator = precise(simulator, more_paths)
     trace_ahead(simulator, room.alpha, seed)
     able = complete(simulator)
-    wanted, of_paths = able.trusted(wanted), able.notes
-    match, first, not_given = _first(simulator, room.alpha, wanted, measured, seed)
+    match, first, not_given = _first(simulator, room.alpha, able.trusted(wanted), measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
-    notes: tuple[str, ...] = (
-        *without_place(measured, first.pairs),
-        *([T30_ALONE] if replaced else []),
-        *not_given,
-        *of_paths,
-        *repeated,
-    )
+    notes = [*without_place(measured, first.pairs), *of_t30, *not_given, *able.notes, *repeated]
     if stated := in_words(room):
-        notes = (*notes, f"The uncertainty of the room counts: {stated}.")
-    _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
+        notes.append(f"The uncertainty of the room counts: {stated}.")
+    matched = data.observations
+    _refuse_one_place(simulator, matched.pairs, position_uncertainty)
     # Of too few paths a warning comes before the reference simulations.
     groups = able.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
     if groups is not None and tracer is not None:
@@ -737,7 +730,7 @@ def calibrate_positions(
     model = PairsModel(simulator, data, room.alpha, first, seed)
     prior = prior_covariance(room)
     if groups is not None:
-        groups = groups[:, [match.index(p) for p in data.observations.parameters]]
+        groups = groups[:, [match.index(p) for p in matched.parameters]]
     error, by_scattering = simulator_error(model, room.alpha, controls, groups, fit_scattering)
     beyond = beyond_prior(model, room, prior, error)
     by_scattering = None if beyond else by_scattering
@@ -754,14 +747,16 @@ def calibrate_positions(
         posterior = ended.materials.posterior(ended.model.used, unknown)
         scattering = fitted(tracer, ended.materials.traced, posterior)
     elif fit_scattering and tracer is not None:
-        notes = (*notes, _kept(tracer, beyond))
+        notes.append(_kept(tracer, beyond))
     name = given.name + ("" if scattering is None else f", scattering {scattering.mean:.2f}")
-    in_room, after = measured.in_bands(room.centre_frequencies), ended.model.simulated(alpha)
-    matched = data.observations
-    others = [p for p in first.parameters if p not in matched.parameters]
+    after = ended.model.simulated(alpha)
+
+    def compared(parameters: Sequence[str], pairs: Sequence[Pair]) -> Compared:
+        in_room = measured.in_bands(room.centre_frequencies)
+        return Compared.of(in_room, parameters, pairs, first, after)
+
     # A relative level has no reference at a pair that is left out.
-    judged = [p for p in matched.parameters if p != LEVEL.key]
-    held_out = Compared.of(in_room, judged, exclude, first, after)
+    held_out = compared([p for p in matched.parameters if p != LEVEL.key], exclude)
     return PositionsResult(
         prior=room,
         room=room if ended.refused else _calibrated(room, given, name, ended, data, controls),
@@ -779,7 +774,9 @@ def calibrate_positions(
             after=after.at(matched),
             relative=data.level == "relative",
         ),
-        beside=Compared.of(in_room, others, matched.pairs, first, after),
+        beside=compared(
+            [p for p in first.parameters if p not in matched.parameters], matched.pairs
+        ),
         held_out=held_out if held_out.parameters else None,
         predicted=_predicted(ended, with_error=controls is not None),
         controls=controls,
@@ -918,15 +915,14 @@ def _tell_noise(groups: Array, match: Sequence[str], tracer: PathTracing) -> Non
 
 def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     """Return why the scattering was not fitted."""
+    why = "there are too few reference simulations"
     if beyond is not None:
-        return (
-            "The input scattering was kept, because no scattering can replace missing absorption."
-        )
-    if tracer.scattering_model != "random":
-        return 'The input scattering was kept, because rtcal fits it with the model "random" only.'
-    if np.isin(tracer.scattering, (0.0, 1.0)).all():
-        return "The input scattering was kept, because coefficients of 0 and 1 are not changed."
-    return "The input scattering was kept, because there are too few reference simulations."
+        why = "no scattering can replace missing absorption"
+    elif tracer.scattering_model != "random":
+        why = 'rtcal fits it with the model "random" only'
+    elif np.isin(tracer.scattering, (0.0, 1.0)).all():
+        why = "coefficients of 0 and 1 are not changed"
+    return f"The input scattering was kept, because {why}."
 
 
 _REFUSED = (
@@ -1206,15 +1202,10 @@ class PositionsResult(Result):
         """Sentences that are printed first, such as likely typing errors or a deviation that grew."""
         said = [_REFUSED] if self.refused else []
         said += [text.as_sentence(doubt.sentence) for doubt in self.of_input]
-        if self.beyond:
-            said.append(str(self.beyond))
+        said += [str(self.beyond)] if self.beyond else []
         if farther := self._farther_matched:
             names = ", ".join(
                 f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)" for p, old, new in farther
-            )
-            said.append(
-                f"In {names} the calibrated simulator deviates more from the measurement than before: "
-                "do not simulate with it."
             )
             start = "The"
             if self.scattering is not None:
@@ -1222,82 +1213,76 @@ class PositionsResult(Result):
                     "The fit of the scattering may have found a poor optimum: try another seed, or "
                     "enter other scattering. Otherwise the"
                 )
-            said.append(f"{start} model lacks something, or a constraint limits alpha.")
+            said.append(
+                f"In {names} the calibrated simulator deviates more from the measurement than before: "
+                f"do not simulate with it. {start} model lacks something, or a constraint limits alpha."
+            )
         return " ".join(said)
 
     @property
-    def every_note(self) -> list[str]:
-        """Notes on the data, and cautions about the result itself."""
-        notes = list(self.notes)
-        notes[:0] = sentences(self.beside.gaps, self.prior.centre_frequencies)
-        if self.warning:
-            notes.insert(0, self.warning)
+    def further(self) -> list[str]:
+        """Notes on the data and on the fit, without `warning` and `doubts`."""
+        said = [*sentences(self.beside.gaps, self.prior.centre_frequencies), *self.notes]
         if LEVEL.key in self.parameters:
-            notes.append(
+            said.append(
                 "The level is taken as absolute: as G, measured with a calibrated source."
                 if self.measured.level == "absolute"
                 else "The level is relative between the positions of a source: the measured one is "
                 "shown with the mean of the simulated one."
             )
-        if self.scattering is not None:
-            notes += self.scattering.notes(self.prior.materials)
+        return said + (
+            [] if self.scattering is None else self.scattering.notes(self.prior.materials)
+        )
+
+    @property
+    def every_note(self) -> list[str]:
+        """Notes on the data, and cautions about the result itself."""
         doubts = [f"{row.name}: {' '.join(row.values)}" for row in self.doubts]
-        return notes + doubts
+        return [*filter(None, [self.warning]), *self.further, *doubts]
 
     @property
     def doubts(self) -> list[Row]:
         """Cautions as rows of a table: the subject, the place, and what to do."""
-        odd = [
-            f"{' to '.join(pair)} ({misfit:.1f})"
-            for pair, misfit in zip(self.pairs, self.misfit, strict=True)
-            if misfit > _MISFIT and pair not in self.contradictions
-        ]
+        contradicting = [" to ".join(pair) for pair in self.contradictions]
+        named = zip(map(" to ".join, self.pairs), self.misfit.tolist(), strict=True)
+        odd = [f"{p} ({m:.1f})" for p, m in named if m > _MISFIT and p not in contradicting]
         bound = [
             f"{self.prior.materials[i]} at {self.prior.centre_frequencies[k]:g} Hz"
             for i, k in np.argwhere((self.alpha <= 0) | (self.alpha >= 1))
         ]
-        unexplained = ", ".join(
+        more = [
             f"{of:.1f} JND of {parameter_label(p)}"
             for p, of in zip(self.parameters, self.unexplained, strict=True)
             if of >= _FARTHER
-        )
-        found = [
-            (
-                "Pair that contradicts all others",
-                ", ".join(" to ".join(pair) for pair in self.contradictions),
+        ]
+        beyond = "beyond all known errors, model and measurement differ by"
+        found = {
+            "Pair that contradicts all others": (
+                ", ".join(contradicting),
                 "Check the names and positions of the pair, or exclude the pair.",
             ),
-            (
-                "Pair that fits the others badly",
+            "Pair that fits the others badly": (
                 ", ".join(odd),
                 "A misfit of 1 is usual. Look at the decays of these pairs.",
             ),
-            (
-                "More deviation than expected",
-                unexplained
-                and f"beyond all known errors, model and measurement differ by {unexplained} "
-                "(standard deviation).",
+            "More deviation than expected": (
+                f"{beyond} {', '.join(more)} (standard deviation)" if more else "",
                 "Check volume, mesh and sigma. If they are right, something may be missing from the "
                 "model: `rtcal find` looks for it.",
             ),
-            (
-                "No interval",
-                "" if self.controls else "no reference simulation shows this simulator's error.",
+            "No interval": (
+                "" if self.controls else "no reference simulation shows this simulator's error",
                 "The assumed error is 5 % of a time and 0.5 dB of a level. Use a simulator with a "
                 "geometry.",
             ),
-            (
-                "Coefficient at a bound",
+            "Coefficient at a bound": (
                 text.first_of(bound, 5),
                 "A bound is a warning and not a result. Enter a smaller sigma or a lower limit "
                 "(alpha_min).",
             ),
-            (
-                "Not settled",
-                "" if self.settled else "the last step moved alpha, or was refused.",
+            "Not settled": (
+                "" if self.settled else "the last step moved alpha, or was refused",
                 "Calibrate again with more paths.",
             ),
-        ]
-        return [
-            Row(title, [f"{where.rstrip('.')}.", advice]) for title, where, advice in found if where
-        ]
+        }
+        return [Row(title, [f"{what}.", advice]) for title, (what, advice) in found.items() if what]

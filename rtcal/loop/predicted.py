@@ -6,22 +6,17 @@ cover lies in one place, and r the errors of the measurement,
 
     measured = f(alpha, u) + e + r,    predicted = h(alpha, u) + e' + d.
 
-Reference simulations are simulated in both states, so they tell the covariance of e and e' together:
-what is common to both states was measured, and what is each state's own was not. Given what was
-measured, alpha, u, e and e' are jointly normal. h is linear around the calibrated coefficients, but
-along the change of alpha that T20 depends on most: there it is a parabola through three evaluations of
-the same paths.
+Reference simulations are simulated in both states, so they show the covariance of e and e' together.
+Given what was measured, alpha, u, e and e' are jointly normal. h is linear around the calibrated
+coefficients, but along the change of alpha that T20 depends on most: there it is a parabola through
+three evaluations of the same paths.
 
-What was covered is another mixture of materials on the same walls. Where the new material lies on a
-surface is not known to the room: it is spread evenly over all walls of the material that it covers, so
-every wall's coefficient is a mean by area, and a tracer re-evaluates the paths that it has. How the
-walls scatter stays.
-
-In truth the cover lies somewhere, most often in one piece. The places that are tried are the ends of
-the surface: the cover fills it from either side along each of its axes. A cover in the middle departs
-less from an even one, so these are the cautious ones. The surface is cut where the cover would end. Its
-pieces lie in the same planes and scatter alike. So the same paths are traced, and only the difference
-between a place and the even cover counts.
+What was covered is another mixture of materials on the same walls, which scatter as before. The new
+material is spread evenly over all walls of the material that it covers, so that a tracer re-evaluates
+the paths that it has. In truth the cover lies somewhere, most often in one piece. The places that are
+tried are the ends of the surface, which depart most from an even cover: the cover fills the surface
+from either side along each of its axes. The surface is cut where the cover would end, so that the same
+paths are traced, and only the difference between a place and the even cover counts.
 """
 
 from __future__ import annotations
@@ -85,7 +80,7 @@ class PositionsPrediction(Result):
     """Hold predicted values at every position after a change, which `PositionsResult.predict` returns.
 
     Arrays are (n_parameters, n_pairs + 1, n_bands): first the pairs, then their mean. They contain the
-    logarithms of times; `mean`, `at_pairs` and `interval` return values in their units.
+    logarithms of times; the methods return values in their units, for the keys of ``parameters``.
 
     ``name`` is that of the variant, ``changes`` are the changes of the room, and ``simulator`` is the
     name of the simulator. ``middle`` are the predicted values after the change, with the 90 % interval
@@ -129,47 +124,30 @@ class PositionsPrediction(Result):
         return np.asarray(observable(parameter).natural(observed[row]))
 
     def at_pairs(self, parameter: str) -> Array:
-        """Return the prediction for pairs, then the mean, in its unit, (n_pairs + 1, n_bands).
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
-        """
+        """Return a predicted ``parameter``, such as "t20", in its unit, (n_pairs + 1, n_bands)."""
         return self._natural(parameter, self.middle)
 
     def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % interval of pairs and mean, (n_pairs + 1, n_bands) each.
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
-        """
+        """Return the ends of the 90 % interval of a ``parameter``, (n_pairs + 1, n_bands) each."""
         return self._natural(parameter, self.low), self._natural(parameter, self.high)
 
     def mean(self, parameter: str) -> Array:
-        """Return the mean over the pairs in its unit, (n_bands,); the geometric mean for times.
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
-        """
+        """Return a ``parameter`` as mean over the pairs, (n_bands,); the geometric one for times."""
         return np.asarray(self.at_pairs(parameter)[-1])
 
     def interval(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % interval of the mean over the pairs, (n_bands,) each.
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
-        """
+        """Return the ends of the 90 % interval of a ``parameter``'s mean, (n_bands,) each."""
         low, high = self.interval_at_pairs(parameter)
         return low[-1], high[-1]
 
     def before_change(self, parameter: str) -> Array:
-        """Return the value of each pair before the change in its unit, and then the mean.
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
-        """
+        """Return a ``parameter`` before the change in its unit, (n_pairs + 1, n_bands)."""
         return self._natural(parameter, self.simulated_before)
 
     def change(self, parameter: str) -> Array:
-        """Return the change of each pair and of the mean in JND, (n_pairs + 1, n_bands).
+        """Return the change of a ``parameter`` in JND, (n_pairs + 1, n_bands).
 
         One JND is that of the value before the change, for example 5 % of a decay time.
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
         """
         before = self.before_change(parameter)
         return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
@@ -177,12 +155,10 @@ class PositionsPrediction(Result):
     def half_width(
         self, parameter: str, low: Array | None = None, high: Array | None = None
     ) -> Array:
-        """Return half the width of the 90 % interval in JND, (n_pairs + 1, n_bands), pairs before mean.
+        """Return half the width of a ``parameter``'s 90 % interval in JND, (n_pairs + 1, n_bands).
 
         One JND is that of the value after the change. ``low`` and ``high`` replace the ends of the
         interval; None keeps them.
-
-        ``parameter`` is the key of a predicted parameter, such as "t20".
         """
         low, high = (own if of is None else of for of, own in ((low, self.low), (high, self.high)))
         one = np.asarray(observable(parameter).jnd_of(self.at_pairs(parameter)))
@@ -190,9 +166,9 @@ class PositionsPrediction(Result):
         return np.asarray(ends / (2 * one))
 
     def parts(self, parameter: str) -> dict[str, Array]:
-        """Return the causes of the mean's uncertainty, as shares of its variance, largest first.
+        """Return causes of the uncertainty of a ``parameter``'s mean, as shares of its variance.
 
-        ``parameter`` is the key of a predicted parameter, such as "t20".
+        They are (n_bands,) each, largest first.
         """
         row = self.parameters.index(checks.choice("parameter", parameter, self.parameters))
         found = {name: share[row] for name, share in self.shares.items()}
@@ -759,16 +735,14 @@ def predict_positions(
     match = complete(simulator).trusted(match)
 
     def after(room: ChangedRoom) -> Simulated:
-        at_alpha: dict[bytes, Array] = {}
+        of_simulator: dict[bytes, Array] = {}
 
         def simulated(of: Simulator, alpha: Array, seed: int) -> Array:
             walls = room.walls(alpha)
-            if of is not simulator:
-                return observe(room.simulator(of), walls, match, seed=seed).values
-            if walls.tobytes() not in at_alpha:
-                values = observe(room.simulator(of), walls, match, seed=seed).values
-                at_alpha[walls.tobytes()] = values
-            return at_alpha[walls.tobytes()]
+            known = of_simulator if of is simulator else {}
+            if (key := walls.tobytes()) not in known:
+                known[key] = observe(room.simulator(of), walls, match, seed=seed).values
+            return known[key]
 
         return simulated
 

@@ -66,7 +66,6 @@ def blocks(result: PositionsResult) -> list[Block]:
     verb = "reduces" if after < before else "changes"
     fitted = listed([parameter_label(p) for p in result.parameters])
     n = len(result.pairs)
-    last = len(result.every_note) - len(result.doubts)
     said = [
         f"The fit {verb} the deviation from the measurement from {before:.1f} to {after:.1f} "
         f"JND (root mean square over {fitted} at {n} pair{'s' * (n != 1)})."
@@ -76,7 +75,7 @@ def blocks(result: PositionsResult) -> list[Block]:
         said.insert(0 if first else 1, f"{'' if first else 'Caution: '}{result.warning}")
     return [
         *map(Note, said),
-        *(Note(f"Caution: {caution}") for caution in result.every_note[last:]),
+        *(Note(f"Caution: {row.name}: {' '.join(row.values)}") for row in result.doubts),
         _gap_table(
             result.parameters,
             result.pairs,
@@ -87,7 +86,7 @@ def blocks(result: PositionsResult) -> list[Block]:
         *([_gap_table(more, result.pairs, *ends, f"Not matched: {_DEVIATION}")] if more else []),
         _material_table(result),
         Note(f"The coefficients are valid only for {result.simulator}."),
-        *(Note(f"Note: {note}") for note in result.every_note[bool(result.warning) : last]),
+        *(Note(f"Note: {note}") for note in result.further),
     ]
 
 
