@@ -531,18 +531,12 @@ class Loop(Result):
 
     @property
     def compromise(self) -> dict[str, ParameterGap]:
-        """Deviations before and after of each matched parameter, by its key "t20" or "edt".
-
-        One target per band cannot match two parameters exactly: see ``lost`` of `ParameterGap`.
-        """
+        """Deviations of each matched parameter: one target per band cannot match two exactly."""
         return {p: self.gaps[p] for p in self.matched.shares}
 
     @property
     def gaps_beside(self) -> Gaps:
-        """Deviations of each measured parameter that is not matched, by its key, such as "c80".
-
-        Each entry is (before, after): simulated minus measured means over the pairs in JND, (n_bands,).
-        """
+        """Deviations (before, after) in JND, (n_bands,), of measured parameters not matched, by key."""
         return {p: (self.gaps[p].before, self.gaps[p].after) for p in self.beside}
 
     @property
@@ -552,10 +546,7 @@ class Loop(Result):
 
     @property
     def parameters(self) -> dict[str, Mapping[str, Array]]:
-        """Means over the pairs of each simulated parameter, by its key, such as "c80".
-
-        Each entry has the keys "measured", "before" and "after", with arrays (n_bands,).
-        """
+        """Means "measured", "before" and "after", (n_bands,), of each simulated parameter, by key."""
         return {p: g.means for p, g in self.gaps.items() if np.isfinite(g.means["before"]).any()}
 
     @cached_property
@@ -569,10 +560,9 @@ class Loop(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Cautions about input and result, such as coefficients at 0 or 1 or far from your input.
 
-        They name likely typing errors (`doubts`), a simulated T in a wrong unit, coefficients that
-        changed by more than two sigma, curved measured decays, and bands below the Schroeder frequency
-        with too few modes. A small deviation alone does not confirm the result, because coefficients
-        can be found with which a simulator gives almost any T.
+        Also a simulated T in a wrong unit, curved measured decays, and bands with too few room modes. A
+        small deviation alone does not confirm the result, because coefficients can be found with which
+        a simulator gives almost any T.
         """
         return self._marks_of(self.outcome)
 
@@ -592,10 +582,8 @@ class Loop(Result):
 
     def _expected(self, step: Step, last: Step | None) -> Array:
         """Return T in s for a step's coefficients: the equation's, or as it changes the ``last`` T."""
-        own = self.equation.time(self.prior, self.prior.areas @ step.alpha)
-        if last is None:
-            return own
-        return last.simulated * own / self.equation.time(self.prior, self.prior.areas @ last.alpha)
+        own = self._time(step.alpha)
+        return own if last is None else last.simulated * own / self._time(last.alpha)
 
     def _unit_of(self, step: Step, last: Step | None) -> list[TrustMark]:
         """Return a caution if a step's T is off by a power of ten from `_expected`; else none."""
@@ -695,8 +683,11 @@ class Loop(Result):
 
     def _own_target(self, alpha: Array) -> Array:
         """Return the equation's T in s of any coefficients, (n_bands,), NaN without a measured T."""
-        own = self.equation.time(self.prior, self.prior.areas @ alpha)
-        return np.where(np.isfinite(self.wanted), np.clip(own, *self._target_limits), np.nan)
+        own = np.clip(self._time(alpha), *self._target_limits)
+        return np.where(np.isfinite(self.wanted), own, np.nan)
+
+    def _time(self, alpha: Array) -> Array:
+        return self.equation.time(self.prior, self.prior.areas @ alpha)
 
     def record(
         self,
@@ -715,7 +706,7 @@ class Loop(Result):
         Parameters
         ----------
         alpha : array (n_materials, n_bands)
-            Coefficients that were simulated: `next_alpha`.
+            Coefficients that were simulated.
         simulated : Measurement
             Values that the simulator gave, in the room's bands, with T20 of every pair.
         without_t20 : sequence of int, optional

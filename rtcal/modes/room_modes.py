@@ -84,10 +84,6 @@ class RoomModes:
     `modes_of` returns them. A mode of the room with absorbing walls is a mixture of the modes with
     rigid walls (module docstring).
 
-    ``frequencies`` are in Hz, ``coupling`` in 1/m, and ``speed_of_sound`` in m/s. ``materials`` has the
-    name of each wall's material. Modes are wanted up to ``largest`` in Hz. ``shapes`` is a function
-    that returns the modes' values at points. ``known`` stores poles; leave it empty.
-
     Examples
     --------
     >>> import rtcal as rt
@@ -223,10 +219,10 @@ class Poles:
     the norms.
     """
 
-    values: Complex  # (n_poles,), -delta + j omega in 1/s
-    mixtures: Complex  # (n_modes, n_poles), of rigid-wall modes
-    slopes: Complex  # (n_poles, n_walls), by each wall's specific admittance, in 1/s
-    norms: Complex  # (n_poles,)
+    values: Complex
+    mixtures: Complex
+    slopes: Complex
+    norms: Complex
 
     @property
     def frequencies(self) -> Array:

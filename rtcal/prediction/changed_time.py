@@ -87,30 +87,27 @@ class MeasuredState:
 class KnownRoom:
     """Hold what is known about a room before it is changed, from a calibration or from its input.
 
-    ``materials`` are the names of the materials of the room and of its other measured states.
-
-    ``room`` has the input coefficients, and ``alpha`` (n_materials, n_bands) are the calibrated ones.
-    ``quantiles`` are those of each coefficient, and ``correlation`` (n_bands, n_materials, n_materials)
-    is that between materials. ``time`` is T before the change in s by ``equation``, (n_bands,).
-    ``measured`` is True in bands with a measured T, and ``exact`` is True if ``time`` is that T.
-    ``log_uncertainty`` is the standard uncertainty of ln T, NaN if none is stated. ``others`` are
-    further measured states, and ``doubts`` cautions about the input.
+    ``room`` has the input coefficients, and ``alpha`` (n_materials, n_bands) are the calibrated ones of
+    the ``materials`` of the room and of its other measured states. ``quantiles`` (n_materials, n_bands,
+    n_levels) are those of each coefficient at the probabilities of `NORMAL`, and ``correlation``
+    (n_bands, n_materials, n_materials) is that between materials. ``time`` (n_bands,) is T before the
+    change in s by ``equation``. ``measured`` is True in bands with a measured T, and ``exact`` is True
+    if ``time`` is that T. ``log_uncertainty`` is the standard uncertainty of ln T, NaN if none is
+    stated. ``others`` are further measured states, and ``doubts`` cautions about the input.
     """
 
-    room: Room  # with the stated coefficients
+    room: Room
     equation: LinearEquation
     materials: tuple[str, ...]
-    alpha: Array  # the calibrated coefficients, (n_materials, n_bands)
-    quantiles: Array  # of each, at the probabilities of `NORMAL`, (n_materials, n_bands, n_levels)
-    correlation: Array  # of the coefficients, (n_bands, n_materials, n_materials)
-    time: Array  # T before in s, (n_bands,)
-    measured: Flags  # where it is, or was calibrated to, a measured T, (n_bands,)
-    exact: bool  # whether T before is the measured one there, and not the model's
-    log_uncertainty: (
-        Array  # standard one of ln of the measured T, (n_bands,); NaN if none is stated
-    )
-    others: tuple[MeasuredState, ...] = ()  # further measured states
-    doubts: tuple[TrustMark, ...] = ()  # those of the input, of `rtcal.acoustics.marks.of_input`
+    alpha: Array
+    quantiles: Array
+    correlation: Array
+    time: Array
+    measured: Flags
+    exact: bool
+    log_uncertainty: Array
+    others: tuple[MeasuredState, ...] = ()
+    doubts: tuple[TrustMark, ...] = ()
 
     @property
     def n_measured(self) -> int:

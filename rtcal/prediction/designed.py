@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -312,23 +312,14 @@ class DesignModel:
         )
 
     @cached_property
-    def _kept(self) -> dict[bytes, Prediction]:
-        """The last predictions, by the bytes of their areas; they go with the model."""
-        return {}
-
-    def _known(self, x: Array) -> Prediction:
-        """Return the prediction of areas, made once."""
-        key = x.tobytes()
-        if key not in self._kept:
-            if len(self._kept) == _MOST_PREDICTIONS:
-                del self._kept[next(iter(self._kept))]
-            self._kept[key] = self.prediction(x)
-        return self._kept[key]
+    def _of_areas(self) -> Callable[[bytes], Prediction]:
+        """Function that returns the prediction of areas by their bytes; it keeps the last ones."""
+        return lru_cache(_MOST_PREDICTIONS)(lambda areas: self.prediction(np.frombuffer(areas)))
 
     def probability(self, x: Array, target: Target | None = None) -> Array:
         """Return the probability that T is within its range, (n_bands,), for given areas in m²."""
         target = target or self.target
-        return self._known(x).probability(target.low, target.high)
+        return self._of_areas(x.tobytes()).probability(target.low, target.high)
 
     def margins(self, probability: float) -> Margins:
         """Return the function that returns ndtri(P) - ndtri(probability) of the bands with a range."""
@@ -337,7 +328,7 @@ class DesignModel:
 
         def of(x: Array) -> Array:
             found = self.probability(x)[bounded]
-            made = self._known(x)
+            made = self._of_areas(x.tobytes())
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
             ends = np.fmin(high - mean, mean - low) / np.maximum(sigma, 1e-9)
@@ -349,37 +340,33 @@ class DesignModel:
         return of
 
     @cached_property
-    def in_order(self) -> tuple[DesignModel, NDArray[np.int64]]:
-        """Return the model with its treatments in a fixed order, and the place of each treatment in it.
-
-        A search with this order gives the same design for any order of your list.
-        """
-        order = sorted(range(len(self.treatments)), key=lambda j: _what(self.treatments[j]))
-        model = replace(self, treatments=tuple(self.treatments[j] for j in order))
-        return model, np.argsort(order)
+    def _order(self) -> NDArray[np.int64]:
+        """Numbers of the treatments in an order that does not depend on that of the user's list."""
+        places = range(len(self.treatments))
+        return np.array(sorted(places, key=lambda j: _what(self.treatments[j])), dtype=np.int64)
 
     def _choice(self, margins: Margins) -> Choice:
-        """Return what may be placed, and what it must keep."""
-        covers, surfaces = self.covering
+        """Return what may be placed, in `_order`, and what it must keep."""
+        (covers, surfaces), order = self.covering, self._order
+        units = np.array([np.nan if t.unit is None else t.unit for t in self.treatments])
         return Choice(
-            cost=self.prices,
-            largest=np.array([t.largest for t in self.treatments]),
-            unit=np.array([np.nan if t.unit is None else t.unit for t in self.treatments]),
-            covers=covers,
+            cost=self.prices[order],
+            largest=np.array([t.largest for t in self.treatments])[order],
+            unit=units[order],
+            covers=covers[:, order],
             surfaces=surfaces,
-            margins=margins,
+            margins=lambda x: margins(x[np.argsort(order)]),
         )
 
     def cheapest(self, probability: float) -> Array | None:
         """Return the cheapest areas in m², (n_treatments,), in whole panels; None if none is enough."""
-        model, places = self.in_order
-        found = model._choice(model.margins(probability)).cheapest()
-        return None if found is None else found[places]
+        found = self._choice(self.margins(probability)).cheapest()
+        return None if found is None else found[np.argsort(self._order)]
 
     def _widest(self, margins: Margins) -> Array:
         """Return the areas in m² whose least margin is largest. Panels need not be whole."""
         choice = self._choice(margins)
-        return np.asarray(choice.widest()[0] * choice.size)
+        return np.asarray((choice.widest()[0] * choice.size)[np.argsort(self._order)])
 
     @cached_property
     def most_probable(self) -> Array:
@@ -396,7 +383,7 @@ class DesignModel:
 
         def spare(x: Array) -> Array:
             """Return the distance by which ln T keeps the nearer end."""
-            made = self._known(x)
+            made = self._of_areas(x.tobytes())
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             return np.asarray(np.fmin(high - mean, mean - low) - ndtri(probability) * sigma)
 
@@ -428,11 +415,7 @@ _LEAST_CHANCE = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Design(Result):
-    """Hold the cheapest areas of treatments for a required T, and the T that they give.
-
-    ``model`` has the treatments, the target and what is known about the room. ``promised`` is the
-    probability that was required in each band. ``areas`` (n_treatments,) are in m².
-    """
+    """Hold the cheapest areas of treatments for a required T, and the T that they give."""
 
     record_kind: ClassVar[str] = "design 1"
     in_file: ClassVar[str] = (
@@ -660,7 +643,6 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     The sentences give the best probabilities, the smallest widening of the range, the effect of parts
     of panels, and the measurement that would narrow the interval. ``probability`` is the required one.
     """
-    model = model.in_order[0]
     labels, target = bands.labels(model.before.centre_frequencies), model.target
     if any(t.unit is not None for t in model.treatments):
         free = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))

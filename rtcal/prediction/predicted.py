@@ -570,11 +570,7 @@ def predict(
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Predictions(Result):
-    """Hold the predictions of several changes of one room, of T or at every position.
-
-    ``predictions`` has one per variant, and ``costs`` its cost, None where it is unknown. ``target`` is
-    the range of T with which the variants are compared, None without one.
-    """
+    """Hold the predictions of several changes of one room, of T or at every position."""
 
     record_kind: ClassVar[str] = "predictions 3"
 

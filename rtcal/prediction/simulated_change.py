@@ -30,16 +30,13 @@ from rtcal.support.types import Array
 class SimulatedChange:
     """Hold T in s that a program simulated before and after a change, (n_bands,) each.
 
-    T is NaN in a band in which one of the two runs has none.
-
-    ``before`` and ``after`` are these T. ``log_uncertainty`` is the program's standard uncertainty of
-    ln(T after / T before), 0 if it gives none.
+    T is NaN in a band in which one of the two runs has none. ``log_uncertainty`` (n_bands,) is the
+    program's standard uncertainty of ln(T after / T before), 0 if it gives none.
     """
 
     before: Array
     after: Array
     log_uncertainty: Array
-    """Standard uncertainty of ln(T after / T before) of the program, (n_bands,); 0 if it gives none."""
 
     @classmethod
     def of(cls, room: Room, run: Run, after: Measurement) -> SimulatedChange:
