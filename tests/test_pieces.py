@@ -114,7 +114,7 @@ def test_an_uncertain_number_widens_t():
     ("change", "words"),
     [
         ({"number": 0}, r'object\["persons"\].number = 0'),
-        ({"area_per_piece": [0.5, 36.0]}, r'alpha\["persons", 1000 Hz\] = 36 m² must be from 0 to'),
+        ({"area_per_piece": [0.5, 36.0]}, r'alpha\["persons", 1000 Hz\] = 36 must be from 0 to'),
         ({"area_per_piece": [0.5, -1.0]}, "must be from 0 to 10 m², the absorption area of one"),
         ({"area_per_piece": [0.5]}, "1 value"),
         ({"number": 1e9}, r"number = 1e\+09 is too large: the pieces would absorb 1.2e\+09 m²"),

@@ -195,7 +195,7 @@ def test_sensitivities_are_derivatives(method):
         ({"area_sigma": {"door": "1.5"}}, 'such as "1.5 m²"'),
         ({"area_sigma": {"door": "15 m²"}}, "below the area of 15 m²"),
         ({"area_sigma": 3}, 'area_sigma\\["floor"\\] = 3 must be .* percent'),
-        ({"climate_sigma": (1,)}, "climate_sigma has 1 values"),
+        ({"climate_sigma": (1,)}, "climate_sigma has shape"),
         ({"climate_sigma": (1, 5), "air": None}, "no air"),
     ],
 )

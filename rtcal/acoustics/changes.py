@@ -38,7 +38,6 @@ from rtcal.acoustics.room import (
     Surface,
     lying_on,
     of_materials,
-    refuse_repeats,
     refuse_too_many,
 )
 from rtcal.files.disk import json_numbers
@@ -821,7 +820,8 @@ def read_variants(
     file = read(VariantsFile, toml_table(content))
     new = _new_materials(file.material, room, catalogue, file.prior)
     of_one = [each.material(room, _rule(file.prior)) for each in file.object]
-    refuse_repeats("the file's materials and objects", [*file.material, *file.object])
+    names = [each.name for each in file.material] + [each.name for each in file.object]
+    checks.distinct("the file's materials and objects", names)
     of_materials(of_one, room.centre_frequencies)
     new |= {piece.name: piece for piece in of_one}
     pieces = {piece.name for piece in of_one}
@@ -846,7 +846,7 @@ def read_variants(
             raise DataError(f"{place}: {error}") from error
     if not variants:
         raise DataError("the file has no [[variant]]; it must have at least one")
-    refuse_repeats("variants", variants)
+    checks.distinct("variants", [variant.name for variant in variants])
     if file.target is None:
         return tuple(variants), None
     return tuple(variants), target_of(file.target, room.volume, room.centre_frequencies)
@@ -858,7 +858,7 @@ def _rule(prior: PriorTable | None) -> SigmaRule | None:
         return None
     if prior.band_correlation:
         raise DataError("prior.band_correlation belongs to the room's file: leave it out here")
-    return prior.rule
+    return prior
 
 
 def _new_materials(
@@ -871,7 +871,7 @@ def _new_materials(
 
     Raises DataError for a material that does not fit the room's bands, or that has no sigma.
     """
-    refuse_repeats("the file's materials", stated)
+    checks.distinct("the file's materials", [each.name for each in stated])
     new = {each.name: each.material(room, catalogue) for each in stated}
     sigma = of_materials([*new.values()], room.centre_frequencies, _rule(prior))["sigma"]
     return {
@@ -1011,7 +1011,7 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
         checks.instance("treatment", treatment, Treatment)
     if not listed:
         raise DataError("treatments is empty; give at least one")
-    refuse_repeats("treatments", listed)
+    checks.distinct("treatments", [treatment.name for treatment in listed])
     for treatment in listed:
         try:
             treatment.change(treatment.largest).exchanged(room)

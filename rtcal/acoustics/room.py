@@ -42,7 +42,7 @@ from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of, shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 
 __all__ = [
     "AXES",
@@ -135,32 +135,35 @@ class Scene:
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
         if self.mesh is not None:
-            put("mesh", os.fspath(checks.path("mesh", self.mesh)))
+            put(self, mesh=os.fspath(checks.path("mesh", self.mesh)))
             if not str(self.mesh).strip():
                 raise DataError(f"mesh = {self.mesh!r} must be the name of a mesh file")
-        put("unit", checks.positive("unit", self.unit, "m"))
-        if self.mesh is None and self.unit != 1:
-            raise DataError(
-                f"unit = {self.unit:g} is the unit of a mesh, but no mesh is given; give mesh, "
-                "or leave unit out"
-            )
+        put(
+            self,
+            unit=checks.positive("unit", self.unit, "m"),
+            leaks=checks.flag("leaks", self.leaks),
+            position_uncertainty=checked_uncertainty(self.position_uncertainty),
+            surfaces={
+                text_name("surfaces", name): tuple(
+                    text_name(f'surfaces["{name}"]', face)
+                    for face in checks.listed(f'surfaces["{name}"]', faces)
+                )
+                for name, faces in checks.mapped("surfaces", self.surfaces).items()
+            },
+            **{kind: _points(kind, getattr(self, kind)) for kind in _POINTS},
+        )
+        put(self, directivity=directivities(self.directivity, self.sources))
+        for name in ("unit", "leaks"):
+            value = getattr(self, name)
+            if self.mesh is None and value != getattr(Scene, name):
+                raise DataError(
+                    f"{name} = {checks.shown(value)} is of a mesh, but no mesh is given; give mesh, "
+                    f"or leave {name} out"
+                )
         for kind, other in (_POINTS, _POINTS[::-1]):
-            put(kind, _points(kind, getattr(self, kind)))
             if getattr(self, kind) and not getattr(self, other):
                 raise DataError(f"{other} is empty, but {kind} is not; give both or neither")
-        put("directivity", directivities(self.directivity, self.sources))
-        put("position_uncertainty", checked_uncertainty(self.position_uncertainty))
-        if checks.flag("leaks", self.leaks) and self.mesh is None:
-            raise DataError(
-                "leaks = true can be given only with a mesh; give mesh, or leave leaks out"
-            )
-        surfaces = {}
-        for name, faces in checks.mapped("surfaces", self.surfaces).items():
-            place = f'surfaces["{text_name("surfaces", name)}"]'
-            surfaces[name] = tuple(text_name(place, face) for face in checks.listed(place, faces))
-        put("surfaces", surfaces)
 
     def __bool__(self) -> bool:
         """Whether anything is stated."""
@@ -195,22 +198,19 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the scene as plain values of the tables of a room's file, without empty tables."""
-        stated = {name: getattr(self, name) for name in GeometryTable.__struct_fields__}
+        usual = msgspec.structs.asdict(GeometryTable())
+        stated = {name: getattr(self, name) for name in usual}
         stated["surfaces"] = {name: list(faces) for name, faces in self.surfaces.items()}
-        unstated = msgspec.structs.asdict(GeometryTable())
         tables = {
-            "geometry": {k: v for k, v in stated.items() if v != unstated[k]},
+            "geometry": {k: v for k, v in stated.items() if v != usual[k]},
             **{kind: {n: list(p) for n, p in getattr(self, kind).items()} for kind in _POINTS},
             "directivity": plain_directivities(self.directivity),
         }
         return {name: table for name, table in tables.items() if table}
 
     @classmethod
-    def of(cls, tables: Any) -> Scene:
-        """Return the scene from the tables of a room's file, which have the fields of `SceneTables`.
-
-        Raises DataError for the reasons of `Scene`.
-        """
+    def of(cls, tables: SceneTables) -> Scene:
+        """Return the scene from the tables of a room's file; DataError for the reasons of `Scene`."""
         return cls(
             **msgspec.structs.asdict(tables.geometry),
             sources=tables.sources or {},
@@ -221,28 +221,39 @@ class Scene:
 
 def checked_uncertainty(position_uncertainty: float) -> float:
     """Return the error of positions in m; DataError unless it is above 0 m and at most 1 m."""
-    uncertainty = checks.positive("position_uncertainty", position_uncertainty, "m")
-    if uncertainty > MOST_OFF:
-        raise DataError(
-            f"position_uncertainty = {uncertainty:g} m is too large: at most {MOST_OFF:g} m is "
-            "allowed"
-        )
-    return uncertainty
+    place = "position_uncertainty"
+    return checks.between(
+        place, checks.positive(place, position_uncertainty, "m"), 0, MOST_OFF, "m"
+    )
 
 
 def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:
     points = checks.mapped(kind, stated)
     if len(points) > MAX_POINTS:
         raise DataError(f"{len(points)} {kind}; a room may have at most {MAX_POINTS}")
-    made: dict[str, Point] = {}
-    for name, point in points.items():
-        place = f'{kind}["{text_name(kind, name)}"]'
-        coordinates = checks.array(place, point)
-        if coordinates.shape != (3,) or not abs(coordinates).max() < float("inf"):
-            raise DataError(f"{place} = {checks.shown(point)} must be three finite numbers in m")
-        x, y, z = coordinates.tolist()
-        made[name] = (x, y, z)
-    return made
+    rule = "three finite numbers in m"
+    return {n: _three(f'{kind}["{text_name(kind, n)}"]', p, rule) for n, p in points.items()}
+
+
+def _three(place: str, stated: Any, rule: str) -> Point:
+    """Return three finite numbers (x, y, z)."""
+    values = checks.array(place, stated)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise DataError(f"{place} = {checks.shown(stated)} must be {rule}")
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def direction(name: str, stated: Any) -> Point:
+    """Return the direction ``stated`` as three numbers (x, y, z).
+
+    Raises DataError, which has the ``name`` of the direction, for values that are not three finite
+    numbers, and for the length 0.
+    """
+    point = _three(name, stated, rule := "a direction (x, y, z)")
+    if not np.linalg.norm(point) > 0:
+        raise DataError(f"{name} = {checks.shown(stated)} must be {rule}")
+    return point
 
 
 LARGEST_INDEX = 25.0
@@ -312,29 +323,24 @@ class Directivity:
                 "a directivity must have exactly one of index, gains and file; this one "
                 f"has {stated or 'none'}"
             )
-        object.__setattr__(self, "aim", direction("aim", self.aim))
-        object.__setattr__(self, "up", direction("up", self.up))
+        put(self, aim=direction("aim", self.aim), up=direction("up", self.up))
         if self.file is not None:
-            object.__setattr__(self, "file", os.fspath(checks.path("file", self.file)))
-            return
-        if self.gains is not None:
-            object.__setattr__(self, "gains", read_only(_balloon(self.gains)))
+            put(self, file=os.fspath(checks.path("file", self.file)))
+        elif self.gains is not None:
+            put(self, gains=read_only(_balloon(self.gains)))
             self._axes()
-            return
-        if self.up != UPWARDS:
+        elif self.up != UPWARDS:
             raise DataError(
                 "up can be given only with gains or a file, and this directivity has "
                 "index: leave up out"
             )
-        index = np.atleast_1d(checks.array("index", self.index))
-        if index.ndim != 1 or not index.size:
-            raise DataError(f"index has shape {index.shape}; give one value, or one per band")
-        wrong = np.flatnonzero(~((index >= 0) & (index <= LARGEST_INDEX)))
-        if wrong.size:
-            raise DataError(
-                f"index[{wrong[0]}] = {index[wrong[0]]:g} dB must be from 0 to {LARGEST_INDEX:g} dB"
-            )
-        object.__setattr__(self, "index", read_only(index))
+        else:
+            index = np.atleast_1d(checks.array("index", self.index))
+            if index.ndim != 1 or not index.size:
+                raise DataError(f"index has shape {index.shape}; give one value, or one per band")
+            rule = f"from 0 to {LARGEST_INDEX:g} dB"
+            checks.entries("index", index, (index >= 0) & (index <= LARGEST_INDEX), rule, "dB")
+            put(self, index=read_only(index))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Directivity):
@@ -403,16 +409,14 @@ class Directivity:
 
         Raises DataError, which names the ``place`` of the directivity, for another number of bands.
         """
-        number = self.n_bands
-        if number != n_bands and (number != 1 or self.gains is not None):
-            name = "index" if self.gains is None else "gains"
-            raise DataError(
-                f"{place}.{name} has {number} values; give one for each of the room's {n_bands} "
-                "bands"
-            )
-        if number == n_bands:
+        if self.n_bands == n_bands:
             return self
-        return replace(self, index=np.broadcast_to(self.index, n_bands))
+        if self.n_bands == 1 and self.gains is None:
+            return replace(self, index=np.broadcast_to(self.index, n_bands))
+        name = "index" if self.gains is None else "gains"
+        raise DataError(
+            f"{place}.{name} has {self.n_bands} values; give one for each of the room's {n_bands} bands"
+        )
 
     def in_band(self, band: int) -> Directivity:
         """Return the directivity in one band, given by its number."""
@@ -422,25 +426,12 @@ class Directivity:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the directivity as plain values of a room's file."""
-        if self.file is not None:
-            up = {} if self.up == UPWARDS else {"up": list(self.up)}
-            return {"file": self.file, "aim": list(self.aim), **up}
-        if self.gains is None:
-            return {"index": self.index.tolist(), "aim": list(self.aim)}
-        return {"gains": self.gains.tolist(), "aim": list(self.aim), "up": list(self.up)}
-
-
-def direction(name: str, stated: Any) -> tuple[float, float, float]:
-    """Return the direction ``stated`` as three numbers (x, y, z).
-
-    Raises DataError, which has the ``name`` of the direction, for values that are not three finite
-    numbers, and for the length 0.
-    """
-    values = checks.array(name, stated)
-    if values.shape != (3,) or not np.isfinite(values).all() or not np.linalg.norm(values) > 0:
-        raise DataError(f"{name} = {checks.shown(stated)} must be a direction (x, y, z)")
-    x, y, z = values.tolist()
-    return x, y, z
+        stated = {name: getattr(self, name) for name in ("file", "index", "gains", "aim", "up")}
+        return {
+            name: value if isinstance(value, str) else np.asarray(value).tolist()
+            for name, value in stated.items()
+            if value is not None and (name, value) != ("up", UPWARDS)
+        }
 
 
 def _balloon(gains: Any) -> Array:
@@ -455,10 +446,7 @@ def _balloon(gains: Any) -> Array:
             f"gains has shape {table.shape}; it must be (n_bands, n_theta, n_phi), with at least "
             f"{_LEAST[0]} and {_LEAST[1]} angles and at most {_MOST}"
         )
-    wrong = np.argwhere(~(np.isfinite(table) & (table >= 0)))
-    if len(wrong):
-        place = ", ".join(str(n) for n in wrong[0].tolist())
-        raise DataError(f"gains[{place}] = {table[tuple(wrong[0])]:g} must be 0 or more")
+    checks.entries("gains", table, np.isfinite(table) & (table >= 0), "finite and 0 or more")
     # The mean over the sphere of what is linear between the angles from the axis: integrals of
     # sin theta / 2 over the hat functions.
     step = np.pi / (table.shape[1] - 1)
@@ -486,8 +474,8 @@ def directivities(
     Raises DataError for a source that is not among ``sources``, and for a value that is neither a
     `Directivity` nor "unknown".
     """
-    made: dict[str, StatedDirectivity] = {}
-    for name, of in checks.mapped("directivity", stated).items():
+    made: dict[str, StatedDirectivity] = checks.mapped("directivity", stated)
+    for name, of in made.items():
         place = f'directivity["{text_name("directivity", name)}"]'
         if name not in sources:
             known = ", ".join(sources) or "none"
@@ -496,7 +484,6 @@ def directivities(
             )
         if not isinstance(of, Directivity) and of != UNKNOWN:
             raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
-        made[name] = of
     return made
 
 
@@ -594,8 +581,15 @@ class Piece:
 
         ``scattering`` is the material's scattering coefficient; None if the room has none.
         """
-        row = Material(self.name, self.area_per_piece, self.sigma, source=self.source)
-        return replace(row, scattering=scattering, area=self.number)
+        return Material(
+            self.name,
+            self.area_per_piece,
+            self.sigma,
+            scattering=scattering,
+            source=self.source,
+            area=self.number,
+            area_sigma=self.number_sigma,
+        )
 
     def with_sigma(self, rule: SigmaRule | None) -> Piece:
         """Return the pieces with their own sigma or, if they have none, with the sigma of a rule.
@@ -618,13 +612,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Surface:
-    """Surface of a room: its name, its material, its area in m² and the axis of its normal.
+    """Surface of a room: its name, that of its material, its area in m², above 0, and its axis.
 
-    ``axis`` is ``"x"``, ``"y"`` or ``"z"``. Only equations that treat the axes apart (Fitzroy,
-    Arau-Puchades) need it.
-
-    ``name`` is the name of the surface, ``material`` that of its material, and ``area`` is in m², above
-    0.
+    ``axis`` is ``"x"``, ``"y"`` or ``"z"``, that of the normal. Only equations that treat the axes
+    apart (Fitzroy, Arau-Puchades) need it.
     """
 
     name: str
@@ -635,10 +626,10 @@ class Surface:
     def __post_init__(self) -> None:
         text_name("surface name", self.name)
         text_name("surface material", self.material)
-        area = checks.positive(f'surface["{self.name}"].area', self.area, "m²")
-        object.__setattr__(self, "area", area)
-        if self.axis is not None and (not isinstance(self.axis, str) or self.axis not in AXES):
-            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" must be "x", "y" or "z"')
+        place = f'surface["{self.name}"]'
+        put(self, area=checks.positive(f"{place}.area", self.area, "m²"))
+        if self.axis is not None:
+            checks.choice(f"{place}.axis", self.axis, AXES)
 
 
 def refuse_too_many(place: str, number: float, area_per_piece: ArrayLike, surface: float) -> None:
@@ -750,12 +741,29 @@ RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 
 
 def _relative(place: str, value: object) -> float:
-    """Return a relative standard deviation; DataError unless it is 0 or more and below 1."""
+    """Return a relative value; DataError unless it is 0 or more and below 1."""
     stated = checks.number(place, value)
     if not 0 <= stated < 1:
         percent = checks.IN_PERCENT if 1 <= stated <= 100 else ""
-        raise DataError(f"{place} = {stated:g} must be a relative value from 0 to below 1{percent}")
+        raise DataError(f"{place} = {stated:g} must be from 0 to below 1{percent}")
     return stated
+
+
+def _area_sigma(place: str, stated: object, area: float) -> float:
+    """Return the relative standard deviation of an area in m², which a text states in m²."""
+    if not isinstance(stated, str):
+        return _relative(place, stated)
+    number, unit, rest = stated.partition("m²")
+    square_metres = np.nan
+    with suppress(ValueError):
+        square_metres = float(number)
+    if not unit or rest.strip() or not 0 <= square_metres < area:
+        raise DataError(
+            f'{place} = "{stated[:40]}" must be a number with the unit m² (written with ²), from 0 to '
+            f'below the area of {area:g} m², such as "1.5 m²", or a share of the area as a number '
+            "without quotes, such as 0.1"
+        )
+    return square_metres / area
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -873,77 +881,61 @@ class Room:
     pieces: tuple[str, ...] = ()
 
     def __post_init__(self, above_one: str) -> None:
-        def put(**values: object) -> None:
-            for name, value in values.items():
-                object.__setattr__(self, name, value)
-
         checks.choice("above_one", above_one, ("refuse", "clip"))
-        if isinstance(self.materials, str):
-            raise DataError(f'materials = "{self.materials}" must be a list of names, not one text')
-        put(
-            name=text_name("name", self.name),
-            author=short_name("author", self.author),
-            materials=tuple(
-                text_name("materials", m) for m in checks.listed("materials", self.materials)
-            ),
-            surfaces=checks.listed("surfaces", self.surfaces),
-            sources=checks.mapped("sources", self.sources),
-            material_correlation=checks.mapped("material_correlation", self.material_correlation),
-            centre_frequencies=read_only(bands.as_bands(self.centre_frequencies)),
-            volume=checks.between("volume", self.volume, LEAST, LARGEST, "m³"),
-        )
+        checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
+        checks.instance("scene", self.scene, Scene)
         for name, kind in (("air", Air), ("calibration", CalibrationRecord)):
             if getattr(self, name) is not None:
                 checks.instance(name, getattr(self, name), kind)
-        put(pieces=tuple(checks.listed("pieces", self.pieces)))
+        listed = checks.listed("materials", self.materials)
+        put(
+            self,
+            name=text_name("name", self.name),
+            author=short_name("author", self.author),
+            volume=checks.between("volume", self.volume, LEAST, LARGEST, "m³"),
+            centre_frequencies=read_only(bands.as_bands(self.centre_frequencies)),
+            materials=tuple(text_name("materials", m) for m in listed),
+            pieces=checks.listed("pieces", self.pieces),
+            surfaces=checks.instances("surfaces", self.surfaces, Surface),
+            sources=checks.mapped("sources", self.sources),
+            material_correlation=checks.mapped("material_correlation", self.material_correlation),
+            **{n: _relative(n, getattr(self, n)) for n in (*RELATIVE, "band_correlation")},
+        )
         self._check_names()
-        for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
-            stated = getattr(self, name)
-            put(**{name: in_order(name, stated, self.materials)})
-        put(areas=checks.shaped("areas", self.areas, self.n_materials))
-        if (bad := ~((self.areas > 0) & (self.areas <= LARGEST))).any():
-            i = int(np.argmax(bad))
-            raise DataError(
-                f'areas["{self.materials[i]}"] = {self.areas[i]:g} m² must be above 0 and at '
-                f"most {LARGEST:g} m²"
-            )
-        if above_one == "clip":
-            put(alpha=checks.shaped("alpha", self.alpha, self.n_materials, self.n_bands))
-            put(clipped=(*self.clipped, *self._clipped()))
-            put(alpha=np.minimum(self.alpha, self.most_alpha))
+        areas = in_order("areas", self.areas, self.materials)
+        put(self, areas=checks.shaped("areas", areas, self.n_materials))
+        checks.entries(
+            lambda i: f'areas["{self.materials[i]}"]',
+            self.areas,
+            (self.areas > 0) & (self.areas <= LARGEST),
+            f"above 0 and at most {LARGEST:g} m²",
+            "m²",
+        )
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
             if getattr(self, name) is not None:
-                put(**{name: self._coefficients(name)})
-        if self.alpha_min is not None and (low := self.alpha_min > self.alpha).any():
-            i, k = np.argwhere(low)[0].tolist()
-            raise DataError(
-                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its lower bound "
-                f"alpha_min = {self.alpha_min[i, k]:g}"
-            )
+                self._put_coefficients(name, clip=(name, above_one) == ("alpha", "clip"))
+        least = self.least_alpha
+        checks.entries(
+            partial(self.place, "alpha"),
+            self.alpha,
+            self.alpha >= least,
+            lambda i, k: f"at least alpha_min = {least[i, k]:g}, its lower bound",
+        )
         if self.dimensions is not None:
-            stated = checks.listed("dimensions", self.dimensions)
-            if len(stated) != 3:
-                raise DataError(
-                    f"dimensions has {len(stated)} values; a shoebox needs 3 (length, width, "
-                    "height)"
-                )
-            put(dimensions=tuple(checks.positive("dimensions", side, "m") for side in stated))
-        checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
-        checks.instance("scene", self.scene, Scene)
+            sides = checks.shaped("dimensions", self.dimensions, 3).tolist()
+            put(self, dimensions=tuple(checks.positive("dimensions", s, "m") for s in sides))
+        put(self, area_sigma=self._area_errors())
+        kelvin, percent = checks.shaped("climate_sigma", self.climate_sigma, 2).tolist()
+        place = "climate_sigma"
+        climate = (
+            checks.between(place, kelvin, 0, 20, "K"),
+            checks.between(place, percent, 0, 50, "%"),
+        )
+        put(self, climate_sigma=climate)
+        if self.air is None and any(climate):
+            raise DataError("climate_sigma is given, but the room has no air; give air, too")
         self._check_surfaces()
         self._check_correlation()
-        put(**{name: _relative(name, getattr(self, name)) for name in RELATIVE})
-        put(area_sigma=self._area_errors())
-        climate = checks.listed("climate_sigma", self.climate_sigma)
-        if len(climate) != 2:
-            raise DataError(
-                f"climate_sigma has {len(climate)} values; give two: the uncertainty of "
-                "the temperature in K and that of the humidity in %"
-            )
-        ends = zip(climate, ((20, "K"), (50, "%")), strict=True)
-        put(climate_sigma=tuple(checks.between("climate_sigma", v, 0, *of) for v, of in ends))
-        if self.air is None and any(self.climate_sigma):
-            raise DataError("climate_sigma is given, but the room has no air; give air, too")
 
     def _check_names(self) -> None:
         """Raise DataError for no material, and for names that are blank, given twice or look alike."""
@@ -951,88 +943,67 @@ class Room:
             raise DataError("materials is empty; a room must have at least one material")
         if blank := [m for m in self.materials if not m.strip()]:
             raise DataError(f"materials has {blank[0]!r}; a name must not be blank")
-        if len({*self.materials}) < self.n_materials:
-            twice = min(m for m in self.materials if self.materials.count(m) > 1)
-            raise DataError(
-                f'materials has "{twice}" twice; give each material once, with its total area '
-                "(Room.from_surfaces sums the surfaces of a material)"
-            )
+        checks.distinct(
+            "materials",
+            self.materials,
+            "give each material once, with its total area (Room.from_surfaces sums the surfaces of "
+            "a material)",
+        )
         if alike := checks.look_alike(self.materials):
             raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {checks.LOOKS}')
         for name in self.pieces:
             self.material_index(name, "pieces: ")
-        if self.is_surface.sum() == 0:
+        if not self.is_surface.any():
             raise DataError(
                 "every material of the room is a piece ([[object]]); a room must have at "
                 "least one material with an area"
             )
 
-    def _clipped(self) -> list[str]:
-        """Return the coefficients above 1; DataError for one above those that laboratories report."""
-        too_large = (self.alpha > LARGEST_LABORATORY_ALPHA) & (self.most_alpha == 1)
-        if too_large.any():
-            i, k = np.argwhere(too_large)[0].tolist()
-            raise DataError(
-                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is probably in "
-                "percent; write 0.5 for 50 %. Laboratory values above 1, up to "
-                f'{LARGEST_LABORATORY_ALPHA:g}, are used as 1 with above_one = "clip"'
-            )
-        above = np.argwhere(self.alpha > self.most_alpha).tolist()
-        return [f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g}" for i, k in above]
+    def _put_coefficients(self, name: str, clip: bool) -> None:
+        """Put the table (n_materials, n_bands) of this name in its place once its values are checked.
 
-    def _coefficients(self, name: str) -> Array:
-        """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
-        array = checks.shaped(name, getattr(self, name), self.n_materials, self.n_bands)
-        bad = ~np.isfinite(array) | (array < 0) | (array > self.most_alpha)
-        if bad.any():
-            i, k = np.argwhere(bad)[0].tolist()
+        With ``clip``, a laboratory's coefficients above 1 become 1.
+        """
+        stated = in_order(name, getattr(self, name), self.materials)
+        table = checks.shaped(name, stated, self.n_materials, self.n_bands)
+        if clip:
+            above = (table > self.most_alpha) & (table <= LARGEST_LABORATORY_ALPHA)
+            cut = [f"{self.place(name, i, k)} = {table[i, k]:g}" for i, k in np.argwhere(above)]
+            put(self, clipped=(*self.clipped, *cut))
+            table = read_only(np.where(above, 1.0, table))
+
+        def rule(i: int, k: int) -> str:
+            value = table[i, k]
             if not self.is_surface[i]:
-                raise DataError(
-                    f"{self.place(name, i, k)} = {array[i, k]:g} m² must be from 0 to "
-                    f"{LARGEST_PIECE:g} m², the absorption area of one piece"
-                )
-            rule = "from 0 to 1"
-            if name == "sigma" and not array[i, k] > 0:
-                rule = "a finite value of 0 or more"
-            elif LARGEST_LABORATORY_ALPHA < array[i, k] <= 100 or (
-                name != "alpha" and array[i, k] > 1.5
-            ):
-                rule += checks.IN_PERCENT
-            elif name == "alpha":
-                rule += above_one_hint(array[i, k])
-            raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} must be {rule}")
-        if name == "sigma" and (bad := (array > 0) & (array < LEAST_SIGMA)).any():
-            i, k = np.argwhere(bad)[0].tolist()
-            raise DataError(
-                f"{self.place(name, i, k)} = {array[i, k]:g} is too small to solve for: give "
-                f"{LEAST_SIGMA:g} or more, or 0 for a coefficient that is known exactly"
-            )
-        return array
+                return f"from 0 to {LARGEST_PIECE:g} m², the absorption area of one piece"
+            if name == "sigma" and 0 < value < LEAST_SIGMA:
+                return f"{LEAST_SIGMA:g} or more, or 0 for a coefficient that is known exactly"
+            if name == "alpha" and 1 < value <= LARGEST_LABORATORY_ALPHA:
+                return f"from 0 to 1{above_one_hint(value)}"
+            return f"from 0 to 1{checks.IN_PERCENT * bool(1 < value <= 100)}"
+
+        allowed = (table >= 0) & (table <= self.most_alpha)
+        if name == "sigma":
+            allowed &= (table == 0) | (table >= LEAST_SIGMA)
+        checks.entries(partial(self.place, name), table, allowed, rule)
+        put(self, **{name: table})
 
     def _check_surfaces(self) -> None:
         """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
         drawn = np.zeros(self.n_materials)
-        for i, each in enumerate(self.surfaces):
-            surface = checks.instance(f"surfaces[{i}]", each, Surface)
+        for surface in self.surfaces:
             place = f'surface["{surface.name}"].material: '
             drawn[self.material_index(surface.material, place)] += surface.area
-        for material, area, of in zip(self.materials, self.areas, drawn, strict=True):
-            if (
-                self.surfaces
-                and material not in self.pieces
-                and not np.isclose(of, area, rtol=1e-9, atol=0)
-            ):
-                raise DataError(
-                    f'areas["{material}"] = {area:g} m², but its surfaces sum to {of:g} m²; make '
-                    "them equal, or leave the surfaces out (surfaces=())"
-                )
+        differ = self.is_surface & ~np.isclose(drawn, self.areas, rtol=1e-9, atol=0)
+        if self.surfaces and differ.any():
+            i = int(np.argmax(differ))
+            raise DataError(
+                f'areas["{self.materials[i]}"] = {self.areas[i]:g} m², but its surfaces sum to '
+                f"{drawn[i]:g} m²; make them equal, or leave the surfaces out (surfaces=())"
+            )
 
     def _check_correlation(self) -> None:
-        """Raise DataError unless the prior correlations of bands and materials are possible ones."""
-        if not 0 <= checks.number("band_correlation", self.band_correlation) < 1:
-            raise DataError(
-                f"band_correlation = {self.band_correlation:g} must be from 0 to below 1"
-            )
+        """Raise DataError unless the prior correlations of materials are possible ones."""
         between: dict[tuple[int, int], float] = {}
         for pair, value in self.material_correlation.items():
             if not isinstance(pair, tuple) or len(pair) != 2:
@@ -1055,50 +1026,23 @@ class Room:
             )
 
     def _area_errors(self) -> Array:
-        """Return the relative standard deviation of each area, (n_materials,), however it is stated.
-
-        Raises DataError for a value that is no relative one nor a text in m², or an unknown material.
-        """
-        listed: Any = self.area_sigma
-        if isinstance(listed, np.ndarray):
-            listed = listed.tolist()
-        if isinstance(listed, Mapping):
-            stated = {
-                self.material_index(name, f'area_sigma["{name}"]: '): value
-                for name, value in listed.items()
-            }
-            listed = [stated.get(i, 0.0) for i in range(self.n_materials)]
-        elif not isinstance(listed, list | tuple):
-            listed = [listed if on else 0.0 for on in self.is_surface]
-        elif all(type(v) in (int, float) and v == 0 for v in listed):
-            listed = [0.0] * self.n_materials  # also of a room that had other materials
-        if len(listed) != self.n_materials:
+        """Return the relative standard deviation of each area, (n_materials,), however it is stated."""
+        stated: Any = self.area_sigma
+        if isinstance(stated, Mapping):
+            for name in stated:
+                self.material_index(name, f'area_sigma["{name}"]: ')
+            stated = [stated.get(name, 0.0) for name in self.materials]
+        elif not isinstance(stated, list | tuple | np.ndarray) or not np.ndim(stated):
+            stated = [stated if on else 0.0 for on in self.is_surface]
+        elif isinstance(stated, np.ndarray) and not stated.any():
+            stated = [0.0] * self.n_materials  # also of a room that had other materials
+        if len(stated) != self.n_materials:
             raise DataError(
-                f"area_sigma has {len(listed)} values; give one for each of the "
+                f"area_sigma has {len(stated)} values; give one for each of the "
                 f"{self.n_materials} materials"
             )
-        values = []
-        for name, value, area in zip(self.materials, listed, self.areas.tolist(), strict=True):
-            place = f'area_sigma["{name}"]'
-            if not isinstance(value, str):
-                values.append(_relative(place, value))
-                continue
-            stated_in, _, rest = value.partition("m²")
-            square_metres = np.nan
-            with suppress(ValueError):
-                square_metres = float(stated_in)
-            if rest.strip() or "m²" not in value or np.isnan(square_metres):
-                raise DataError(
-                    f'{place} = "{value[:40]}" must be a number with the unit m² (written with '
-                    '²), such as "1.5 m²", or a share of the area as a number without quotes, '
-                    "such as 0.1"
-                )
-            if not 0 <= square_metres < area:
-                raise DataError(
-                    f'{place} = "{value[:40]}" must be from 0 to below the area of {area:g} m²'
-                )
-            values.append(square_metres / area)
-        return read_only(np.array(values))
+        each = zip(self.materials, stated, self.areas.tolist(), strict=True)
+        return read_only(np.array([_area_sigma(f'area_sigma["{m}"]', s, a) for m, s, a in each]))
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
@@ -1343,13 +1287,10 @@ class Room:
             surfaces and an area, and for a field that is missing or unknown.
         """
         frequencies = bands.as_bands(centre_frequencies)
-        drawn = [*checks.listed("surfaces", surfaces)]
-        for i, surface in enumerate(drawn):
-            checks.instance(f"surfaces[{i}]", surface, Surface)
-        listed = checks.listed("materials", materials)
-        for i, material in enumerate(listed):
-            checks.instance(f"materials[{i}]", material, Material)
-        refuse_repeats("materials", listed)
+        drawn = [*checks.instances("surfaces", surfaces, Surface)]
+        listed = checks.instances("materials", materials, Material)
+        pieces = checks.instances("objects", objects, Piece)
+        checks.distinct("material and object", [m.name for m in listed] + [p.name for p in pieces])
         areas: dict[str, list[float]] = {m.name: [] for m in listed}
         for surface in drawn:
             if surface.material not in areas:
@@ -1369,33 +1310,26 @@ class Room:
             areas[m.name].append(checks.positive(f'material["{m.name}"].area', m.area, "m²"))
             if drawn:
                 drawn.append(Surface(m.name, m.name, m.area))
-        used = [m for m in listed if areas[m.name]]
+        used = [replace(m, area=float(np.sum(areas[m.name]))) for m in listed if areas[m.name]]
         lacking = [m.name for m in used if m.scattering is None]
-        if lacking and len(lacking) < len(used):
+        if 0 < len(lacking) < len(used):
             raise DataError(
                 f'scattering["{lacking[0]}"] is missing; give scattering for every material or for none'
             )
-        pieces = checks.listed("objects", objects)
-        for i, piece in enumerate(pieces):
-            checks.instance(f"objects[{i}]", piece, Piece)
+        for piece in pieces:
             checks.positive(f'object["{piece.name}"].number', piece.number)
-        refuse_repeats("material and object", [*listed, *pieces])
-        scattering = None if lacking else 0.0
-        pieces = tuple(piece.with_sigma(prior) for piece in pieces)
-        rows = [*used, *(piece.as_material(scattering) for piece in pieces)]
-        made = of_materials(rows, frequencies, prior)
-        numbers = [piece.number for piece in pieces]
-        made |= {"areas": [*(np.sum(areas[m.name]) for m in used), *numbers], "surfaces": drawn}
-        made |= {"pieces": [piece.name for piece in pieces]}
-        errors = stated.pop("area_sigma", 0.0)
-        if pieces and not isinstance(errors, Mapping):
-            names = [m.name for m in used]
-            errors = dict(zip(names, np.broadcast_to(errors, len(names)).tolist(), strict=True))
-        if pieces:
-            errors = errors | {piece.name: piece.number_sigma for piece in pieces}
-        made |= {"area_sigma": errors}
+        rows = [piece.with_sigma(prior).as_material(None if lacking else 0.0) for piece in pieces]
+        rows, names = [*used, *rows], [m.name for m in used]
+        errors: Any = stated.pop("area_sigma", 0.0)
+        if np.ndim(errors):
+            errors = [*errors, *(piece.number_sigma for piece in pieces)]
+        else:
+            of_all = errors if isinstance(errors, Mapping) else dict.fromkeys(names, errors)
+            errors = {**of_all} | {m.name: m.area_sigma for m in rows if m.area_sigma}
+        stated |= {"areas": [m.area for m in rows], "area_sigma": errors, "surfaces": drawn}
+        stated |= {"pieces": [piece.name for piece in pieces], "centre_frequencies": frequencies}
         try:
-            room = cls(centre_frequencies=frequencies, **stated, **made)
+            room = cls(**stated, **of_materials(rows, frequencies, prior))
         except TypeError as error:
             raise DataError(f"a room cannot be made from these values: {error}") from error
         for piece in pieces:
@@ -1488,31 +1422,27 @@ class Room:
         Raises DataError for the reasons of `from_surfaces`, and for a material that has neither an area
         nor a surface.
         """
+        checks.distinct("material", [m.name for m in file.material])
         covered = {surface.material for surface in file.surface}
-        refuse_repeats("material", file.material)
         for m in file.material:
             if m.area is None and m.name not in covered:
                 raise DataError(
                     f'area["{m.name}"] is missing, and no [[surface]] has this material; give '
                     "one of them"
                 )
-        of_all = file.area_sigma
-        area_sigma = of_all if isinstance(of_all, dict) else {m.name: of_all for m in file.material}
         alike = {*RoomFile.__struct_fields__} & {f.name for f in fields(cls)} | {"above_one"}
-        stated = {key: getattr(file, key) for key in alike - {"sources", "area_sigma"}}
         return cls.from_surfaces(
-            **stated,
+            **{key: getattr(file, key) for key in alike - {"sources"}},
             surfaces=[
                 Surface(s.name or f"surface {i}", s.material, s.area, s.axis)
                 for i, s in enumerate(file.surface, start=1)
             ],
             materials=file.material,
             objects=file.object,
-            prior=None if file.prior is None else file.prior.rule,
+            prior=file.prior,
             scene=Scene.of(file),
             band_correlation=0.0 if file.prior is None else file.prior.band_correlation,
             material_correlation={c.materials: c.value for c in file.correlation},
-            area_sigma=area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
         )
 
     @classmethod
@@ -1720,22 +1650,20 @@ def refuse_repeated_data(room: Room, *names: str) -> None:
     ``names`` identify the data: each is a text that `fingerprint` returns, or several such texts
     separated by blanks. The error's message has the values that would count twice.
     """
-    before = [] if room.calibration is None else room.calibration.measured.split()
+    record = room.calibration
+    before = [] if record is None else record.measured.split()
     anew = [one for name in names for one in name.split()]
     found = ((new, _shared(new, old)) for old in before for new in anew)
     name, shared = next((each for each in found if each[1]), ("", []))
-    if not shared:
+    if record is None or not shared:
         return
     what = first_of([_value_in_words(name.partition(":")[0], label) for label in shared], 3)
-    if room.calibration is not None and room.calibration.method == ARCHIVE:
-        raise DataError(
-            f'the coefficients of room "{room.name}" come from an archive that contains these '
-            f"data ({what}); calibrating to them again would count them twice. Learn the archive "
-            "without this room"
-        )
+    how, instead = "was already calibrated on", "Use the room as it was before, or other data"
+    if record.method == ARCHIVE:
+        how, instead = "has coefficients of an archive with", "Learn the archive without this room"
     raise DataError(
-        f'room "{room.name}" was already calibrated on these data ({what}); calibrating to them '
-        "again would count them twice. Use the room as it was before, or other data"
+        f'room "{room.name}" {how} these data ({what}); calibrating to them again would count them '
+        f"twice. {instead}"
     )
 
 
@@ -1759,21 +1687,13 @@ MAX_BYTES = 2**18
 """Largest size of a room's file in bytes, thirty times a usual one."""
 
 
-class PriorTable(FileTable):
-    """Rule for the sigma of materials that state none."""
+@dataclass(frozen=True, kw_only=True)
+class PriorTable(SigmaRule):
+    """Rule of a file for the sigma of materials that state none; what it leaves out is 0."""
 
     relative: Share = 0.0
     minimum: Share = 0.0
-    iso_12999_2: bool = False
-    in_situ_factor: Number = 1.0
     band_correlation: Number = 0.0
-
-    @property
-    def rule(self) -> SigmaRule:
-        """The rule, which has no correlation."""
-        stated = msgspec.structs.asdict(self)
-        del stated["band_correlation"]
-        return SigmaRule(**stated)
 
 
 class SurfaceTable(FileTable):
@@ -1815,10 +1735,3 @@ class RoomFile(SceneTables, kw_only=True):
     correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []
     prior: PriorTable | None = None
     area_sigma: Number | str | dict[str, Number | str] = 0.0
-
-
-def refuse_repeats(place: str, named: Sequence[Any]) -> None:
-    """Raise DataError if two objects have the same ``name``."""
-    names = [each.name for each in named]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'{place} has "{twice}" twice; give each a name of its own')

@@ -32,7 +32,7 @@ from scipy.special import ndtri
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, Variant, changed, name_of, uncovering
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET, observable, parameter_label
-from rtcal.acoustics.room import POSITION, Room, checked_uncertainty, refuse_repeats
+from rtcal.acoustics.room import POSITION, Room, checked_uncertainty
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.files.saved import Result
 from rtcal.loop.measured_pairs import (
@@ -723,7 +723,7 @@ def predict_positions(
             raise DataError(
                 f"variants[{i}] has simulated, but a fit predicts by its own simulator: leave it out"
             )
-    refuse_repeats("variants", variants)
+    checks.distinct("variants", [variant.name for variant in variants])
     assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)
     rooms = [ChangedRoom(result.prior, v.changes) for v in every]

@@ -19,7 +19,7 @@ from rtcal.acoustics.changes import Change, Target, Variant, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.marks import TrustMark, of_surface
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room, is_calibrated, refuse_other_equation, refuse_repeats
+from rtcal.acoustics.room import Room, is_calibrated, refuse_other_equation
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
@@ -703,7 +703,7 @@ def predict_variants(
     >>> predict_variants(result, [Variant("window open", (Change(open="windows", area=2.0),))])
     <Predictions: window open>
     """
-    refuse_repeats("variants", variants)
+    checks.distinct("variants", [variant.name for variant in variants])
     room_known = known_room(known, equation)
     if run is not None and all(v.simulated is None for v in variants):
         raise DataError(

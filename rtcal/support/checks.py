@@ -6,12 +6,13 @@ import os
 import re
 import sys
 import unicodedata
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
@@ -124,6 +125,12 @@ def instance(place: str, value: object, kind: type[T]) -> T:
     return value
 
 
+def instances(place: str, value: object, kind: type[T]) -> tuple[T, ...]:
+    """Return the members of a sequence of one of rtcal's classes; DataError for anything else."""
+    every = listed(place, value)
+    return tuple([instance(f"{place}[{i}]", each, kind) for i, each in enumerate(every)])
+
+
 def stack_level() -> int:
     """Return the ``stacklevel`` with which a warning of the caller shows the user's line."""
     package = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
@@ -190,6 +197,39 @@ def shaped(place: str, value: object, *shape: int | str) -> Array:
         needed = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
         raise DataError(f"{place} has shape {found.shape}; it must be {needed}")
     return read_only(found)
+
+
+def entries(
+    place: str | Callable[..., str],
+    values: Array,
+    allowed: NDArray[np.bool_],
+    rule: str | Callable[..., str],
+    unit: str = "",
+) -> None:
+    """Raise DataError that names the first entry of ``values`` that is not ``allowed``, with the rule.
+
+    ``place`` is the name of the array, or a function of an entry's indices that returns the entry's
+    name; so is ``rule``, which follows "must be".
+
+    Examples
+    --------
+    >>> areas = np.array([1.0, -2.0])
+    >>> entries("areas", areas, areas > 0, "above 0", "m²")
+    Traceback (most recent call last):
+    rtcal.support.errors.DataError: areas[1] = -2 m² must be above 0
+    """
+    if allowed.all():
+        return
+    at = tuple(np.argwhere(~allowed)[0].tolist())
+    where = place(*at) if callable(place) else f"{place}[{', '.join(map(str, at))}]"
+    must = rule(*at) if callable(rule) else rule
+    raise DataError(f"{where} = {f'{values[at]:g} {unit}'.rstrip()} must be {must}")
+
+
+def distinct(place: str, names: Sequence[str], advice: str = "give each a name of its own") -> None:
+    """Raise DataError if two of the names are equal."""
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f'{place} has "{twice}" twice; {advice}')
 
 
 def _has_flags(value: Any) -> bool:

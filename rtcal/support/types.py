@@ -33,3 +33,9 @@ def read_only_view(values: NDArray[_Scalar]) -> NDArray[_Scalar]:
     view = values.view()
     view.setflags(write=False)
     return view
+
+
+def put(frozen: object, **values: object) -> None:
+    """Set fields of an object of a frozen dataclass, as its own constructor does."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
