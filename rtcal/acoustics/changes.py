@@ -44,7 +44,7 @@ from rtcal.files.disk import json_numbers
 from rtcal.files.schema import FileTable, Number, read, toml_table
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, put
 
 DIN_18041 = {
     "A1": ("music", 0.45, 0.07, 30, 1000),
@@ -106,16 +106,10 @@ class Target:
                 f"low has shape {low.shape} and high {high.shape}; both must be (n_bands,)"
             )
         for name, ends in (("low", low), ("high", high)):
-            if (bad := (ends <= 0) | (ends > LONGEST)).any():
-                raise DataError(
-                    f"{name} = {ends[np.argmax(bad)]:g} s; T of a room must be above 0 and at "
-                    f"most {LONGEST:g} s"
-                )
-        if (bad := low >= high).any():
-            k = int(np.argmax(bad))
-            raise DataError(f"low = {low[k]:g} s must be below high = {high[k]:g} s")
-        object.__setattr__(self, "low", low)
-        object.__setattr__(self, "high", high)
+            possible = ~((ends <= 0) | (ends > LONGEST))
+            checks.entries(name, ends, possible, f"above 0 and at most {LONGEST:g} s", "s")
+        checks.entries("low", low, ~(low >= high), lambda k: f"below high = {high[k]:g} s", "s")
+        put(self, low=low, high=high)
         if not self.bounded.any():
             raise DataError("target: every low and high is missing; give both in at least one band")
 
@@ -258,15 +252,16 @@ _CLOSED = 1e-3
 """Relative difference below which the surfaces are those of the box: nothing in it is free-standing."""
 _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
-_TAKES: dict[str, dict[str, bool]] = {
-    "cover": {"by": True, "area": False},
-    "add": {"area": False, "number": False},
-    "remove": {"area": False, "number": False},
-    "open": {"area": False},
-    "air": {},
-    "volume": {},
+_TAKES = {
+    "cover": ("by", "area"),
+    "add": ("area", "number"),
+    "remove": ("area", "number"),
+    "open": ("area",),
+    "air": (),
+    "volume": (),
 }
-"""Kinds of change, and the further keys of each: whether it must have one."""
+"""Kinds of change, and the further keys of each."""
+_UNITS = {"area": "m²", "volume": "m³", "number": "pieces"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -335,32 +330,31 @@ class Change:
             raise DataError(
                 f"a change must have exactly one of {', '.join(_TAKES)}; this one has {len(kinds)}"
             )
-        takes = _TAKES[self.kind]
-        if extra := [key for key in stated if key not in (self.kind, *takes)]:
-            raise DataError(
-                f'a change of the kind "{self.kind}" does not use {extra[0]}: leave it out'
-            )
-        if lacking := [key for key, needed in takes.items() if needed and key not in stated]:
-            raise DataError(f"{self.kind} needs {lacking[0]}, which is missing")
-        if self.add is not None and self.area is None and self.number is None:
+        kind = kinds[0]
+        if extra := [key for key in stated if key not in (kind, *_TAKES[kind])]:
+            raise DataError(f'a change of the kind "{kind}" does not use {extra[0]}: leave it out')
+        if kind == "cover" and self.by is None:
+            raise DataError("cover needs by, which is missing")
+        amounts = len({"area", "number"} & {*stated})
+        if kind == "add" and not amounts:
             raise DataError(
                 "add needs an area in m², or a number if pieces ([[object]]) are added; "
                 "both are missing"
             )
-        if self.area is not None and self.number is not None:
-            raise DataError(f"{self.kind} has both area and number; give only one of them")
+        if amounts == 2:
+            raise DataError(f"{kind} has both area and number; give only one of them")
         for key, value in stated.items():
             place = f"change: {key}"
-            if unit := {"area": "m²", "volume": "m³", "number": "pieces"}.get(key):
-                checks.positive(place, value, unit)
+            if key in _UNITS:
+                checks.positive(place, value, _UNITS[key])
             elif key == "air":
                 checks.instance(place, value, Air)
-            elif key in ("add", "by") and not isinstance(value, Material | str):
+            elif key in ("cover", "remove", "open"):
+                checks.text(place, value)
+            elif not isinstance(value, Material | str):
                 raise DataError(
                     f"{place} = {checks.shown(value)} is neither a Material nor the name of one"
                 )
-            elif key in ("cover", "remove", "open"):
-                checks.text(place, value)
 
     @property
     def kind(self) -> str:
@@ -1043,32 +1037,43 @@ def facing(room: Room, geometry: Any = None) -> Array:
     gives the box. Walls without a box face x and y by halves.
     """
     if geometry is not None:
-        rows = {name: row for row, name in enumerate(room.materials)}
         along = np.asarray(geometry.face_areas)[:, np.newaxis] * np.square(geometry.normals)
-        faces = zip(geometry.materials, along, strict=True)
-        return _by_material(room, [(rows[name], a) for name, a in faces if name in rows], least=0.0)
-    surfaces = list(room.surfaces)
-    stands = {surface.material for surface in surfaces}
-    surfaces += [
-        Surface(name, name, float(area))
-        for name, area in zip(room.materials, room.areas, strict=True)
-        if name not in {*stands, *room.pieces}
+        return _by_material(room, geometry.materials, along, least=0.0)
+    stands = {surface.material for surface in room.surfaces}
+    surfaces = [
+        *room.surfaces,
+        *(
+            Surface(name, name, float(area))
+            for name, area in zip(room.materials, room.areas, strict=True)
+            if name not in {*stands, *room.pieces}
+        ),
     ]
-    box = None
+    areas, materials = np.array([s.area for s in surfaces]), [s.material for s in surfaces]
+    kinds = [kind_of(s.name) or kind_of(s.material) for s in surfaces]
+    box, walls = None, np.array([0.5, 0.5, 0.0])
     if room.dimensions is not None:
         x, y, z = room.dimensions
         box = 2 * np.array([y * z, x * z, x * y])  # of both faces along x, y and z
-    stated = _stated(surfaces, box)
+        walls = box * [1, 1, 0] / (box[0] + box[1])
+    level = np.eye(3)[2]
+    ways = {FLOOR: level, CEILING: level, LEVEL: level, WALL: walls, None: np.full(3, np.nan)}
+    shares = [
+        ways[kind] if s.axis is None else np.eye(3)[AXES.index(s.axis)]
+        for s, kind in zip(surfaces, kinds, strict=True)
+    ]
+    along = areas[:, np.newaxis] * shares
     if box is not None:
-        stated = _matched(surfaces, stated, box)
-    else:
-        box = _box_of_floor(surfaces, stated)
+        along = _matched(areas, along, box)
+    else:  # with the named floor or ceiling, as both; the other surfaces are its walls
+        of_kind = [
+            [s.area for s, k in zip(surfaces, kinds, strict=True) if k == kind] for kind in ways
+        ]
+        one = max(map(sum, of_kind[:2]))
+        if 0 < 2 * one < (total := sum(areas.tolist())):
+            box = np.array([total / 2 - one, total / 2 - one, 2 * one])
     if box is not None:
-        stated = _rest(surfaces, stated, box)
-    places = room.material_rows([s.material for s in surfaces]).tolist()
-    return _by_material(
-        room, [(row, a) for row, a in zip(places, stated, strict=True) if a is not None]
-    )
+        along = _rest(areas, along, box, materials)
+    return _by_material(room, materials, along)
 
 
 def enough_known(room: Room, shares: Array) -> bool:
@@ -1082,22 +1087,22 @@ def enough_known(room: Room, shares: Array) -> bool:
     return bool((~unknown).any() and absorbed[unknown].sum() <= UNKNOWN_SHARE * absorbed.sum())
 
 
-def _by_material(room: Room, along: Iterable[tuple[int, Array]], least: float = _WHOLE) -> Array:
-    """Return shares from areas along x, y and z, each with the row of its material.
+def _by_material(
+    room: Room, materials: Sequence[str], along: Array, least: float = _WHOLE
+) -> Array:
+    """Return shares from the areas of surfaces along x, y and z, NaN where unknown.
 
     A material is known whose known surfaces have at least the share ``least`` of its area.
     """
     sums = np.zeros((room.n_materials, 3))
-    for row, areas in along:
-        sums[row] += areas
-    total = sums.sum(axis=1)
-    known = (total > 0) & (total >= least * room.areas)
-    shares = np.full(sums.shape, np.nan)
-    shares[known] = sums[known] / total[known, np.newaxis]
-    return shares
+    for material, areas in zip(materials, along, strict=True):
+        if material in room.materials and not np.isnan(areas[0]):
+            sums[room.materials.index(material)] += areas
+    total = sums.sum(axis=1, keepdims=True)
+    known = (total > 0) & (total >= least * room.areas[:, np.newaxis])
+    return np.asarray(np.divide(sums, total, out=np.full(sums.shape, np.nan), where=known))
 
 
-_X, _Y, _Z = range(3)
 FLOOR, CEILING, WALL, LEVEL = "floor", "ceiling", "wall", "floor and ceiling"
 _WORDS = {
     FLOOR: "floor floors flooring boden böden fussboden bodenbelag sol plancher suelo piso pavimento "
@@ -1138,41 +1143,6 @@ def kind_of(name: str) -> str | None:
     return kinds.pop() if len(kinds) == 1 else None
 
 
-def _kind(surface: Surface) -> str | None:
-    return kind_of(surface.name) or kind_of(surface.material)
-
-
-def _stated(surfaces: Sequence[Surface], box: Array | None) -> list[Array | None]:
-    """Return the areas along x, y and z that axes and names state; None for other surfaces."""
-    walls = np.array([0.5, 0.5, 0.0])
-    if box is not None:
-        walls = np.array([box[_X], box[_Y], 0.0]) / (box[_X] + box[_Y])
-    out: list[Array | None] = []
-    for surface in surfaces:
-        kind = _kind(surface)
-        if surface.axis is not None:
-            out.append(surface.area * np.eye(3)[AXES.index(surface.axis)])
-        elif kind in (FLOOR, CEILING, LEVEL):
-            out.append(surface.area * np.eye(3)[_Z])
-        else:
-            out.append(surface.area * walls if kind == WALL else None)
-    return out
-
-
-def _box_of_floor(surfaces: Sequence[Surface], along: Sequence[Array | None]) -> Array | None:
-    """Return the areas of a box with the named floor or ceiling, as both; None without one.
-
-    The other surfaces are its walls, half of them along x.
-    """
-    sums = dict.fromkeys((FLOOR, CEILING), 0.0)
-    for surface in surfaces:
-        if (kind := _kind(surface)) in sums:
-            sums[str(kind)] += surface.area
-    level, total = max(sums.values()), sum(s.area for s in surfaces)
-    walls = total - 2 * level
-    return None if level == 0 or walls <= 0 else np.array([walls / 2, walls / 2, 2 * level])
-
-
 _NEAR = 0.02
 """Share by which an area may differ from that of the faces that it is."""
 _AGREE = 0.05
@@ -1181,9 +1151,7 @@ _OF_REST = 0.1
 """Share by which the surfaces that are left may differ from the faces that are left."""
 
 
-def _matched(
-    surfaces: Sequence[Surface], along: Sequence[Array | None], box: Array
-) -> list[Array | None]:
+def _matched(areas: Array, along: Array, box: Array) -> Array:
     """Return the areas along the axes, also of surfaces with the area of faces of the box.
 
     All six faces are surfaces, or what is left of them is what is left of the surfaces.
@@ -1194,55 +1162,44 @@ def _matched(
     x, y, z = every.T
     combinations = every[(x + y == 0) | (x + y == 4) | ((z == 0) & ((x != 1) | (y != 1)))]
     face = box / 2
-    left = box - np.sum([np.zeros(3), *(a for a in along if a is not None)], axis=0)
-    left = np.round(np.clip(left / face, 0, 2), 2)
-    unknown = [i for i, of_surface in enumerate(along) if of_surface is None]
-    by_area = sorted(unknown, key=lambda i: surfaces[i].area)
-    found: tuple[float, list[Array | None]] = np.inf, list(along)
-    for order in (by_area, by_area[::-1]):
-        free, out, rest = left, list(along), 0.0
+    left = np.round(np.clip((box - np.nansum(along, axis=0)) / face, 0, 2), 2)
+    unknown = sorted(np.flatnonzero(np.isnan(along[:, 0])).tolist(), key=lambda i: float(areas[i]))
+    least, best = np.inf, along
+    for order in (unknown, unknown[::-1]):
+        free, out, rest = left, along.copy(), 0.0
         for i in order:
-            area, fits = surfaces[i].area, combinations[(combinations <= free + _NEAR).all(axis=1)]
-            fits = fits[np.abs(area / (fits @ face) - 1) <= _NEAR]
+            fits = combinations[(combinations <= free + _NEAR).all(axis=1)]
+            fits = fits[np.abs(areas[i] / (fits @ face) - 1) <= _NEAR]
             shares = fits * face / (fits @ face)[:, np.newaxis]
             if len(fits) and np.ptp(shares, axis=0).max() < _AGREE:
-                out[i] = area * shares.mean(axis=0)
+                out[i] = areas[i] * shares.mean(axis=0)
                 free = free - fits[0]
             else:
-                rest += area
+                rest += areas[i]
         remaining = float(np.maximum(free, 0) @ face)
         all_are = remaining <= _NEAR * face.sum() or abs(rest / remaining - 1) <= _OF_REST
-        if all_are and rest < found[0]:
-            found = rest, out
-    return found[1]
+        if all_are and rest < least:
+            least, best = rest, out
+    return best
 
 
 _ONE_KIND = 0.05
 """Share of another direction in what is left, up to which it is of one kind."""
 
 
-def _rest(
-    surfaces: Sequence[Surface], along: Sequence[Array | None], box: Array
-) -> list[Array | None]:
+def _rest(areas: Array, along: Array, box: Array, materials: Sequence[str]) -> Array:
     """Return the areas along the axes, also of the surfaces that are what is left of a box.
 
     Where walls and floor or ceiling are left, several materials may be on either.
     """
-    places = [i for i, of_surface in enumerate(along) if of_surface is None]
-    known = [a for a in along if a is not None]
-    left = np.maximum(box - np.sum(known, axis=0), 0.0) if known else box
-    rest = sum(surfaces[i].area for i in places)
-    if not places or left.sum() == 0 or abs(rest / left.sum() - 1) > _OF_REST:
-        return list(along)
-    of_walls = (left[_X] + left[_Y]) / left.sum()
-    one_kind = min(of_walls, 1 - of_walls) <= _ONE_KIND
-    if not one_kind and len({surfaces[i].material for i in places}) > 1:
-        return list(along)
+    unknown = np.asarray(np.isnan(along).any(axis=1))
+    left = np.maximum(box - np.nansum(along, axis=0), 0.0)
+    if left.sum() == 0 or abs(areas[unknown].sum() / left.sum() - 1) > _OF_REST:
+        return along
     shares = left / left.sum()
-    if one_kind:
-        shares = np.where(np.eye(3)[_Z] > 0, of_walls <= 0.5, (of_walls > 0.5) * shares)
-        shares = shares / shares.sum()
-    return [
-        surfaces[i].area * shares if of_surface is None else of_surface
-        for i, of_surface in enumerate(along)
-    ]
+    of_walls = shares[0] + shares[1]
+    if min(of_walls, 1 - of_walls) <= _ONE_KIND:
+        shares = shares * ([1, 1, 0] if of_walls > 0.5 else [0, 0, 1])
+    elif len({m for m, at in zip(materials, unknown, strict=True) if at}) > 1:
+        return along
+    return np.where(unknown[:, np.newaxis], areas[:, np.newaxis] * (shares / shares.sum()), along)

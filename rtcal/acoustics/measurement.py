@@ -47,7 +47,7 @@ from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, TooShortError, of_bands
 from rtcal.support.text import decimal_comma, first_of
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 
 MAX_POSITIONS = 12
 """Largest number of source-receiver pairs that lowers the uncertainty of a mean: the number that the
@@ -215,21 +215,20 @@ class Measurement:
     n_receivers: int | None = None
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-        frequencies = bands.as_bands(self.centre_frequencies)
-        frequencies.setflags(write=False)
-        put("centre_frequencies", frequencies)
-        put("pairs", self._checked_pairs())
+        put(
+            self,
+            centre_frequencies=read_only(bands.as_bands(self.centre_frequencies)),
+            pairs=self._checked_pairs(),
+        )
         for name in TABLES:
             tables = checks.mapped(f"measurement {name}", getattr(self, name))
-            put(name, {p: self._checked(name, p, table) for p, table in tables.items()})
+            put(self, **{name: {p: self._checked(name, p, table) for p, table in tables.items()}})
         if not self.values:
             raise DataError("measurement: values is empty; give at least one parameter")
-        for name, value in self._averaged(places_of(self.pairs)).items():
-            put(name, value)
+        put(self, **self._averaged(places_of(self.pairs)))
         self._check_summary()
 
-    def _averaged(self, placed: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    def _averaged(self, placed: Sequence[Pair]) -> dict[str, Any]:
         """Return the fields that differ if each row has the place ``placed``: a mean per place."""
         if tuple(placed) == self.pairs:
             return {}
@@ -277,50 +276,44 @@ class Measurement:
         placed = [(of_source.get(s, s), of_receiver.get(r, r)) for s, r in self.pairs]
         return replace(self, **self._averaged(placed))
 
-    def _checked_pairs(self) -> tuple[tuple[str, str], ...]:
-        checked_pairs = []
-        for pair in checks.listed("pairs", self.pairs):
-            if len(checks.listed("pairs has a pair that", pair)) != 2:
-                raise DataError(f"pairs has {pair!r}; give each pair as (source, receiver)")
-            source, receiver = (text_name("pairs", name) for name in pair)
-            if source.startswith("#"):
-                raise DataError(
-                    f'pairs has "{source}"; a name must not contain #, which begins a comment in '
-                    "a file"
-                )
-            checked_pairs.append((source, receiver))
-        if repeated := next((p for p in checked_pairs if checked_pairs.count(p) > 1), None):
-            again = f"{repeated[1]}#2"
+    def _checked_pairs(self) -> tuple[Pair, ...]:
+        pairs = checks.pairs("pairs", self.pairs)
+        for name in (name for pair in pairs for name in pair):
+            text_name("pairs", name)
+        if wrong := [source for source, _ in pairs if source.startswith("#")]:
             raise DataError(
-                f'pairs has {repeated} twice; name a repeat at the same position "{again}"'
+                f'pairs has "{wrong[0]}"; a source must not begin with #, which begins a comment in a '
+                "file"
             )
-        return tuple(checked_pairs)
+        if twice := [pair for pair, n in Counter(pairs).items() if n > 1]:
+            raise DataError(
+                f'pairs has {twice[0]} twice; name a repeat at the same position "{twice[0][1]}#2"'
+            )
+        return pairs
 
     def _check_summary(self) -> None:
-        counts = {"sources": self.n_sources, "receivers": self.n_receivers}
-        for name, count in counts.items():
-            if count is not None and (not isinstance(count, int) or count < 1):
-                raise DataError(f"measurement: {name} = {count!r} must be a whole number above 0")
-        stated = bool(self.standard_deviation) or any(c is not None for c in counts.values())
-        if stated and not self.is_summary:
+        """Raise DataError for what only a summary may state, and for errors of what has no values."""
+        counts = {"n_sources": self.n_sources, "n_receivers": self.n_receivers}
+        stated = {name: n for name, n in counts.items() if n is not None}
+        for name, n in stated.items():
+            checks.whole(f"measurement: {name}", n, 1)
+        if (self.standard_deviation or stated) and not self.is_summary:
             raise DataError(
                 "measurement: a standard deviation over pairs, and numbers of sources and "
                 f'receivers, are allowed only in a summary (source and receiver "{SUMMARY}"), '
                 "not with single pairs"
             )
-        if self.standard_deviation and None in counts.values():
+        if self.standard_deviation and len(stated) < len(counts):
             raise DataError(
                 "measurement: a standard deviation over pairs needs the numbers of sources and "
                 "receivers (n_sources, n_receivers), from which the uncertainty of the mean "
                 "follows"
             )
-        for name in ("uncertainty", "common_uncertainty", "standard_deviation"):
-            for parameter in getattr(self, name):
-                if parameter not in self.values:
-                    raise DataError(
-                        f"measurement {name}[{parameter}] is given without values[{parameter}]; "
-                        "add the values"
-                    )
+        for name, p in [(table, p) for table in TABLES for p in getattr(self, table)]:
+            if p not in self.values:
+                raise DataError(
+                    f"measurement {name}[{p}] is given without values[{p}]; add the values"
+                )
 
     def _checked(self, name: str, parameter: str, value: Any) -> Array:
         kind, n_bands = observable(parameter), len(self.centre_frequencies)
@@ -328,16 +321,16 @@ class Measurement:
         array = checks.shaped(f"measurement {name}[{parameter}]", value, *shape)
         wrong, rule = array < 0, "finite and 0 or more"
         if name == "values":
-            wrong, rule = kind.broken(array), kind.rule
-            if kind.simulated:
-                rule = f"finite and above 0 {kind.unit}"
-        if (bad := np.isinf(array) | wrong).any():
-            where = tuple(int(i) for i in np.argwhere(bad)[0])
-            band = bands.label(self.centre_frequencies[where[-1]])
-            raise DataError(
-                f"measurement {name}[{parameter}, {band}] = {array[where]:g} must be {rule}"
-            )
+            wrong = kind.broken(array)
+            rule = f"finite and above 0 {kind.unit}" if kind.simulated else kind.rule
+        checks.entries(
+            partial(self._place, name, parameter), array, ~(np.isinf(array) | wrong), rule
+        )
         return array
+
+    def _place(self, name: str, parameter: str, *at: int) -> str:
+        """Return the name of a value in messages; the last of its indices is that of its band."""
+        return f"measurement {name}[{parameter}, {bands.label(self.centre_frequencies[at[-1]])}]"
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
@@ -370,19 +363,16 @@ class Measurement:
             place = f"{kind.label}[{bands.label(self.centre_frequencies[k])}]"
             kind.refuse(place, max(float(longest[:, k].max()), kind.limits[0]))
         for name in ("uncertainty", "common_uncertainty"):
-            for parameter, array in getattr(self, name).items():
-                stated = np.atleast_2d(array)
+            for parameter, stated in getattr(self, name).items():
                 kind = observable(parameter)
                 most = kind.largest_uncertainty(self.values[parameter])
-                if (bad := stated > most).any():
-                    pair, band = (int(i) for i in np.argwhere(bad)[0])
-                    row = 0 if name == "common_uncertainty" else pair
-                    raise DataError(
-                        f"measurement {name}[{parameter}, "
-                        f"{bands.label(self.centre_frequencies[band])}] = "
-                        f"{stated[row, band]:g}{f' {kind.unit}'.rstrip()} is too large for "
-                        f"an uncertainty of {kind.label}. Check that it is not in percent"
-                    )
+                checks.entries(
+                    partial(self._place, name, parameter),
+                    np.broadcast_to(stated, most.shape),
+                    ~(stated > most),
+                    f"a possible uncertainty of {kind.label}. Check that it is not in percent",
+                    kind.unit,
+                )
 
     @property
     def _description(self) -> str:
@@ -440,29 +430,20 @@ class Measurement:
         energy = checks.shaped("energy", energy, len(pairs), len(f), "n_bins")
         values = parameters(energy, bin_width)
         lost = np.isnan(values[TARGET.key])
+        short = lost & TARGET.too_short(energy)
         if lost.any():
-            short = TARGET.too_short(energy)
-            bad = lost & short if (lost & short).any() else lost
-            pair, band = (int(i) for i in np.argwhere(bad)[0])
-            where = f"{' to '.join(pairs[pair])}, {bands.label(f[band])}"
-            if short[pair, band]:
-                down = max(0.0, -float(cut_off_db(energy)[pair, band]))
-                raise TooShortError(
-                    f"the decay from {where} is too short for {TARGET.label}: in "
-                    f"{energy.shape[-1] * bin_width:.3g} s it falls by {down:.0f} dB, but "
-                    f"{TARGET.label} needs {MARGIN_DB - TARGET.lower:.0f} dB. Simulate a "
-                    "longer decay"
-                )
-            error = DataError(
-                f"the decay from {where} has no {TARGET.label}: too little sound is reflected"
+            pair, band = np.argwhere(short if short.any() else lost)[0].tolist()
+            where = f"the decay from {' to '.join(pairs[pair])}, {bands.label(f[band])}"
+            if not short.any():
+                error = DataError(f"{where} has no {TARGET.label}: too little sound is reflected")
+                raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
+            down = max(0.0, -float(cut_off_db(energy)[pair, band]))
+            raise TooShortError(
+                f"{where} is too short for {TARGET.label}: in {energy.shape[-1] * bin_width:.3g} s it "
+                f"falls by {down:.0f} dB, but {TARGET.label} needs "
+                f"{MARGIN_DB - TARGET.lower:.0f} dB. Simulate a longer decay"
             )
-            raise of_bands(error, np.flatnonzero(lost.any(axis=0)))
-        return cls(
-            centre_frequencies=f,
-            values=values,
-            pairs=pairs,
-            uncertainty={} if uncertainty is None else uncertainty,
-        )
+        return cls(centre_frequencies=f, values=values, pairs=pairs, uncertainty=uncertainty or {})
 
     def mean(self, parameter: str) -> Array:
         """Return a parameter's arithmetic mean over the pairs that have it, (n_bands,), else NaN.
@@ -511,53 +492,44 @@ class Measurement:
         mean = self.mean(parameter)
         if parameter not in self.values:
             return mean
-        values = self.values[parameter]
-        measured = np.isfinite(values)
+        measured = np.isfinite(self.values[parameter])
         count = np.sum(measured, axis=0)
         spread, n_effective, positions = self._spread(parameter)
         n_effective, positions = (np.minimum(n, MAX_POSITIONS) for n in (n_effective, positions))
-        variance = np.where(n_effective > 1, spread**2 / np.maximum(n_effective, 1), np.nan)
+        several, n_effective = n_effective > 1, np.maximum(n_effective, 1)
         iso = observable(parameter).variance_of_mean(self.centre_frequencies, mean, positions)
-        variance = np.fmax(variance, iso)
+        variance = np.fmax(np.where(several, spread**2 / n_effective, np.nan), iso)
         uncertainty = np.where(count > 0, np.sqrt(variance), np.nan)
         common = self.common_uncertainty.get(parameter)
         if parameter in self.uncertainty:
             stated = np.where(measured, self.uncertainty[parameter], 0.0)
             of_mean = np.sqrt(np.sum(stated**2, axis=0)) / np.maximum(count, 1)
             if common is not None:
-                scattered = np.where(
-                    n_effective > 1, spread / np.sqrt(np.maximum(n_effective, 1)), 0
-                )
+                scattered = np.where(several, spread / np.sqrt(n_effective), 0)
                 of_mean = np.maximum(of_mean, scattered)  # NaN where a pair states none
             uncertainty = np.where((count > 0) & np.isfinite(of_mean), of_mean, uncertainty)
-        if common is not None:
-            uncertainty = np.hypot(uncertainty, np.nan_to_num(common))
-        return uncertainty
+        return uncertainty if common is None else np.hypot(uncertainty, np.nan_to_num(common))
 
     def _spread(self, parameter: str) -> tuple[Array, Array, Array]:
         """Standard deviation over pairs, effective number and number of pairs, each (n_bands,)."""
         values = self.values[parameter]
-        k = values.shape[1]
+        none = np.full(values.shape[1], np.nan)
         if self.is_summary:
-            spread = self.standard_deviation.get(parameter, np.full(k, np.nan))
-            sources, receivers = self.n_sources or 1, self.n_receivers or 1
+            n = self.n_sources or 1, self.n_receivers or 1
+            spread = self.standard_deviation.get(parameter, none)
             return (
                 np.asarray(spread),
-                np.full(k, float(max(sources, receivers))),
-                np.full(k, float(sources * receivers)),
+                np.full(none.shape, float(max(n))),
+                np.full(none.shape, float(n[0] * n[1])),
             )
         measured = np.isfinite(values)
         names = [np.array(each) for each in zip(*self.pairs, strict=True)]
-        effective = np.array(
-            [max(len({*each[used]}) for each in names) for used in measured.T], dtype=float
-        )
-        count = np.sum(measured, axis=0)
-        deviation = np.where(measured, values - self.mean(parameter), 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            spread = np.where(
-                count > 1, np.sqrt(np.sum(deviation**2, axis=0) / (count - 1)), np.nan
-            )
-        return spread, effective, count.astype(float)
+        effective = [max(len({*each[used]}) for each in names) for used in measured.T]
+        count = np.sum(measured, axis=0).astype(float)
+        squares = np.sum(np.where(measured, values - self.mean(parameter), 0.0) ** 2, axis=0)
+        several = count > 1
+        spread = np.where(several, np.sqrt(squares / np.where(several, count - 1, 1)), np.nan)
+        return spread, np.array(effective, dtype=float), count
 
     def only(self, parameters: Collection[str]) -> Measurement:
         """Return the measurement with some of its parameters, by their keys."""
@@ -613,16 +585,14 @@ class Measurement:
                 f"the measurement ({bands.hertz(conversion.old)}) and the room "
                 f"({bands.hertz(conversion.new)}) have no band in common"
             )
-        # The values beside which an uncertainty stands; those of all pairs of a band have the mean's.
         tables: dict[str, Any] = {name: {} for name in TABLES}
-        for name, p in [(each, p) for each in TABLES for p in getattr(self, each)]:
+        for name, p in [(table, p) for table in TABLES for p in getattr(self, table)]:
             table, scale = getattr(self, name)[p], observable(p).averaging
-            beside = self.values[p] if name in _OF_PAIRS else self.mean(p)
-            tables[name][p] = (
-                conversion.mean(table, scale)
-                if name == "values"
-                else conversion.uncertainty(table, beside, scale)
-            )
+            if name == "values":
+                tables[name][p] = conversion.mean(table, scale)
+            else:  # beside the values or, if all pairs of a band have it, beside their mean
+                beside = self.values[p] if name in _OF_PAIRS else self.mean(p)
+                tables[name][p] = conversion.uncertainty(table, beside, scale)
         return replace(self, centre_frequencies=conversion.new, **tables)
 
     @cached_property
@@ -653,15 +623,15 @@ class Measurement:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, which `from_dict` reads; None where a value is missing."""
-        tables = {name: getattr(self, name) for name in TABLES}
+        tables = {
+            name: {p: json_numbers(values) for p, values in getattr(self, name).items()}
+            for name in TABLES
+            if name != "common_uncertainty" or self.common_uncertainty
+        }
         return {
             "centre_frequencies": json_numbers(self.centre_frequencies),
             "pairs": [list(pair) for pair in self.pairs],
-            **{
-                name: {p: json_numbers(values) for p, values in table.items()}
-                for name, table in tables.items()
-                if name != "common_uncertainty" or table
-            },
+            **tables,
             "n_sources": self.n_sources,
             "n_receivers": self.n_receivers,
         }
@@ -706,21 +676,21 @@ class Measurement:
 
     def rows(self) -> list[list[Any]]:
         """Return the rows of the measurement's CSV file: the header, and a row per value."""
-        data = self.to_dict()
-        counts = {name: data[f"n_{name}"] for name in ("sources", "receivers")}
-        used = [c for c in _OPTIONAL_COLUMNS if data.get(c) or counts.get(c) is not None]
+        counts = {"sources": self.n_sources, "receivers": self.n_receivers}
+        used = [c for c in _OPTIONAL_COLUMNS if getattr(self, c, None) or counts.get(c) is not None]
         table: list[list[Any]] = [[*_COLUMNS, *used]]
-        for parameter, values in data["values"].items():
-            for i, (source, receiver) in enumerate(data["pairs"]):
-                for k, band in enumerate(data["centre_frequencies"]):
-                    cells = [source, receiver, parameter.upper(), band, values[i][k]]
-                    for column in used:
-                        of = data.get(column, {}).get(parameter)
-                        per_pair = of[i] if of and column == "uncertainty" else of
-                        cells.append(
-                            counts[column] if column in counts else per_pair and per_pair[k]
-                        )
-                    table.append(cells)
+        bands_of = json_numbers(self.centre_frequencies)
+        for parameter, values in self.values.items():
+            beside: list[Any] = []
+            for column in used:
+                of = getattr(self, column, {}).get(parameter, np.nan)
+                cells = json_numbers(np.broadcast_to(of, values.shape))
+                beside.append([[counts.get(column, c) for c in row] for row in cells])
+            for i, (pair, row) in enumerate(zip(self.pairs, json_numbers(values), strict=True)):
+                for k, (band, value) in enumerate(zip(bands_of, row, strict=True)):
+                    table.append(
+                        [*pair, parameter.upper(), band, value, *(b[i][k] for b in beside)]
+                    )
         return table
 
     def save(self, path: str) -> None:
@@ -865,20 +835,20 @@ def of_single_values(
                 table[pairs[source, receiver], frequencies[band]] = number
     counts = {}
     for name in ("sources", "receivers"):
-        stated = {n for table in tables[name].values() for n in table[np.isfinite(table)].tolist()}
-        if len(stated) > 1:
+        every = np.concatenate([[np.nan], *(table.ravel() for table in tables[name].values())])
+        least, most = np.fmin.reduce(every), np.fmax.reduce(every)
+        if least < most:
             raise DataError(
                 f"column {name} has different values; it must have the same value in all rows"
             )
-        for count in stated:
-            if count != int(count) or count < 1:
-                raise DataError(f"column {name} = {count:g} must be a whole number above 0")
-        counts[f"n_{name}"] = int(stated.pop()) if stated else None
+        if most < 1 or most % 1 > 0:
+            raise DataError(f"column {name} = {most:g} must be a whole number above 0")
+        counts[f"n_{name}"] = int(most) if np.isfinite(most) else None
     of_bands: dict[str, dict[str, Array]] = {}
     for name in ("common_uncertainty", "standard_deviation"):
         of_bands[name] = {p: np.fmax.reduce(table) for p, table in tables[name].items()}
-        for p, table in tables[name].items():
-            if (differing := np.fmin.reduce(table) < of_bands[name][p]).any():
+        for p, most in of_bands[name].items():
+            if (differing := np.fmin.reduce(tables[name][p]) < most).any():
                 label = bands.label(list(frequencies)[int(np.argmax(differing))])
                 raise DataError(
                     f"{name} of {parameter_label(p)} at {label} has different values; in a "
