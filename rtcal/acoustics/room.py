@@ -1660,7 +1660,10 @@ def refuse_repeated_data(room: Room, *names: str) -> None:
     what = first_of([_value_in_words(name.partition(":")[0], label) for label in shared], 3)
     how, instead = "was already calibrated on", "Use the room as it was before, or other data"
     if record.method == ARCHIVE:
-        how, instead = "has coefficients of an archive with", "Learn the archive without this room"
+        how, instead = (
+            "has coefficients of an archive that contains",
+            "Learn the archive without it",
+        )
     raise DataError(
         f'room "{room.name}" {how} these data ({what}); calibrating to them again would count them '
         f"twice. {instead}"
