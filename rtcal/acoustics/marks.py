@@ -230,123 +230,75 @@ class TrustMark:
         return f"{self.as_error}. Check {self.checked} before anything else"
 
 
-_ADVICE: dict[str, tuple[str, str]] = {
-    "typing_error": (
-        "t",
-        "likely a typing error: check this value before anything else, and calibrate again. All "
-        "results are computed with it",
-    ),
-    "unit_error": (
-        "",
-        "likely a typing error, or another unit: check T (in s), the volume (in m³) and the areas "
-        "(in m²) before anything else. All results are computed with them",
-    ),
-    "surface": (
-        "",
-        "check each area, the volume and the dimensions before anything else: every coefficient is "
-        "computed with them",
-    ),
-    "gap_before": (
-        "",
-        "what is predicted from there is not of the measured room: check T, areas and sigma of every "
-        "measured state",
-    ),
-    "fixed": (
-        "",
-        "no coefficient can move: give uncertain coefficients a sigma above 0, or the file a [prior]",
-    ),
-    "unreachable": (
-        "n",
-        "its coefficients are at their bounds and do not describe the materials: check T, volume and "
-        "areas, give the materials wider bounds, or look for an effect that the model lacks",
-    ),
-    "missing": (
-        "m",
-        "alpha keeps its input value there, unless other bands, terms or observations move it: measure "
-        "the band, or draw no conclusion from it",
-    ),
-    "below_schroeder": (
-        "s",
-        "a few room modes determine the decay there: do not use these coefficients at other positions "
-        "or in other rooms",
-    ),
-    "air": (
-        "a",
-        "an error of T or of the climate causes an error of alpha several times as large: measure "
-        "temperature and humidity with T",
-    ),
-    "uncertain": (
-        "u",
-        "the deviation cannot show whether the model is right: measure at more positions, or calibrate "
-        'with the method "soft", which fits T within its uncertainty',
-    ),
-    "at_bound": (
-        "b",
-        "the sigma of this or another material is too small, or an effect is missing: give hard "
-        "materials a lower limit (alpha_min) and look for the effect",
-    ),
-    "at_upper_bound": (
-        "b",
-        "the other materials supply the rest of the absorption that T needs: this material's sigma, "
-        "another material's sigma or this material's area is too small, or an effect is missing",
-    ),
-    "all_at_upper_bound": (
-        "b",
-        "T needs more absorption than these materials can have: look for absorption that the "
-        "model lacks, for a surface that is missing or too small, or a sigma that is too small",
-    ),
-    "implausible": (
-        "z",
-        "do not rely on the coefficients of these bands until the cause is found",
-    ),
-    "bent": (
-        "c",
-        "one T does not describe the decay, and these coefficients follow one slope of it: look for "
-        "coupled spaces or absorption on one side, and do not use them at other positions or in other "
-        "rooms",
-    ),
-    "no_air": (
-        "",
-        "the surfaces are made to absorb what the air does, most of all above 1 kHz: give the "
-        "room's file temperature and humidity",
-    ),
-    "no_uncertainty": (
-        "",
-        "the test of the input may be too strict: give T per source and receiver, or its uncertainty",
-    ),
-    "implausible_modes": (
-        "",
-        "the modes contradict each other or the input coefficients: check whether the table holds T or "
-        "decays, and which modes they are, then check the coefficients",
-    ),
-    "clipped": (
-        "",
-        "a laboratory value above 1 includes the specimen's edges, so the true coefficient is not "
-        "known: give these materials a larger sigma",
-    ),
-    "dimensions": (
-        "",
-        "the volume or a dimension is wrong: the absorption that T needs is proportional to the volume",
-    ),
-    "equations_differ": (
-        "",
-        "these coefficients, and each prediction with them, depend on the equation: calibrate by path "
-        "tracing (`rtcal fit` with a mesh, `rtcal loop` with a simulator), and predict a change of one "
-        "surface there",
-    ),
-    "equations_differ_with_pieces": (
-        "",
-        "these coefficients, and each prediction with them, depend on the equation. Path tracing does "
-        "not, but has no [[object]]: state the pieces as a [[material]] with an area before you take "
-        "`rtcal fit` or `rtcal loop`",
-    ),
-    "directions_unknown": ("", NOT_KNOWN),
-    "wide_sigma": (
-        "",
-        "any T agrees with so large a sigma: check that sigma is neither relative to "
-        "alpha nor in percent",
-    ),
+_LETTERS = {
+    "typing_error": "t",
+    "unreachable": "n",
+    "missing": "m",
+    "below_schroeder": "s",
+    "air": "a",
+    "uncertain": "u",
+    "at_bound": "b",
+    "at_upper_bound": "b",
+    "all_at_upper_bound": "b",
+    "implausible": "z",
+    "bent": "c",
 }
+"""Marks of the bands in tables, by kind of caution; the others are of the whole room, without one."""
+_ADVICE = {
+    "typing_error": "likely a typing error: check this value before anything else, and calibrate "
+    "again. All results are computed with it",
+    "unit_error": "likely a typing error, or another unit: check T (in s), the volume (in m³) "
+    "and the areas (in m²) before anything else. All results are computed with them",
+    "surface": "check each area, the volume and the dimensions before anything else: every "
+    "coefficient is computed with them",
+    "gap_before": "what is predicted from there is not of the measured room: check T, areas and "
+    "sigma of every measured state",
+    "fixed": "no coefficient can move: give uncertain coefficients a sigma above 0, or the file "
+    "a [prior]",
+    "unreachable": "its coefficients are at their bounds and do not describe the materials: "
+    "check T, volume and areas, give the materials wider bounds, or look for an effect that the "
+    "model lacks",
+    "missing": "alpha keeps its input value there, unless other bands, terms or observations "
+    "move it: measure the band, or draw no conclusion from it",
+    "below_schroeder": "a few room modes determine the decay there: do not use these "
+    "coefficients at other positions or in other rooms",
+    "air": "an error of T or of the climate causes an error of alpha several times as large: "
+    "measure temperature and humidity with T",
+    "uncertain": "the deviation cannot show whether the model is right: measure at more "
+    'positions, or calibrate with the method "soft", which fits T within its uncertainty',
+    "at_bound": "the sigma of this or another material is too small, or an effect is missing: "
+    "give hard materials a lower limit (alpha_min) and look for the effect",
+    "at_upper_bound": "the other materials supply the rest of the absorption that T needs: this "
+    "material's sigma, another material's sigma or this material's area is too small, or an "
+    "effect is missing",
+    "all_at_upper_bound": "T needs more absorption than these materials can have: look for "
+    "absorption that the model lacks, for a surface that is missing or too small, or a sigma "
+    "that is too small",
+    "implausible": "do not rely on the coefficients of these bands until the cause is found",
+    "bent": "one T does not describe the decay, and these coefficients follow one slope of it: "
+    "look for coupled spaces or absorption on one side, and do not use them at other positions "
+    "or in other rooms",
+    "no_air": "the surfaces are made to absorb what the air does, most of all above 1 kHz: give "
+    "the room's file temperature and humidity",
+    "no_uncertainty": "the test of the input may be too strict: give T per source and receiver, "
+    "or its uncertainty",
+    "implausible_modes": "the modes contradict each other or the input coefficients: check "
+    "whether the table holds T or decays, and which modes they are, then check the coefficients",
+    "clipped": "a laboratory value above 1 includes the specimen's edges, so the true "
+    "coefficient is not known: give these materials a larger sigma",
+    "dimensions": "the volume or a dimension is wrong: the absorption that T needs is "
+    "proportional to the volume",
+    "equations_differ": "these coefficients, and each prediction with them, depend on the "
+    "equation: calibrate by path tracing (`rtcal fit` with a mesh, `rtcal loop` with a "
+    "simulator), and predict a change of one surface there",
+    "equations_differ_with_pieces": "these coefficients, and each prediction with them, depend "
+    "on the equation. Path tracing does not, but has no [[object]]: state the pieces as a "
+    "[[material]] with an area before you take `rtcal fit` or `rtcal loop`",
+    "directions_unknown": NOT_KNOWN,
+    "wide_sigma": "any T agrees with so large a sigma: check that sigma is neither relative to "
+    "alpha nor in percent",
+}
+"""What to do next, by kind of caution."""
 
 
 def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> TrustMark:
@@ -356,8 +308,8 @@ def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> Tr
     whole room), and ``text`` is the fact. If ``advised`` is given, letter and advice are those of this
     other kind.
     """
-    letter, advice = _ADVICE[advised or kind]
-    return TrustMark(kind, letter, frequency, text, advice)
+    of = advised or kind
+    return TrustMark(kind, _LETTERS.get(of, ""), frequency, text, _ADVICE[of])
 
 
 FAR = 4.0
