@@ -118,7 +118,7 @@ def test_other_simulators_are_differentiated_by_differences():
 @pytest.mark.parametrize(
     ("match", "said"),
     [
-        (("t20", "loudness"), 'match has "loudness"'),
+        (("t20", "loudness"), "match = 'loudness'"),
         ((), "match is empty"),
         (("t20", "t20"), "twice"),
         ("t20", "match"),

@@ -1037,9 +1037,7 @@ def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
         raise DataError(
             f"energy has shape {energy.shape}; its last axis must have at least one bin"
         )
-    if (bad := ~np.isfinite(energy) | (energy < 0)).any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise DataError(f"energy{list(where)} = {energy[where]:g} must be finite and 0 or more")
+    checks.entries("energy", energy, np.isfinite(energy) & (energy >= 0), "finite and 0 or more")
     return energy
 
 

@@ -534,6 +534,17 @@ class Material:
     area_sigma: Number | str | None = None
 
 
+_OF_PIECE = {
+    "name": "name",
+    "area": "number",
+    "alpha": "area_per_piece",
+    "sigma": "sigma",
+    "area_sigma": "number_sigma",
+    "source": "source",
+}
+"""Fields of a `Material` with those of a `Piece` that stand in them."""
+
+
 @dataclass(frozen=True)
 class Piece:
     """Persons, seats or other objects of one kind, with their number and the absorption area of one.
@@ -581,15 +592,8 @@ class Piece:
 
         ``scattering`` is the material's scattering coefficient; None if the room has none.
         """
-        return Material(
-            self.name,
-            self.area_per_piece,
-            self.sigma,
-            scattering=scattering,
-            source=self.source,
-            area=self.number,
-            area_sigma=self.number_sigma,
-        )
+        stated = {key: getattr(self, name) for key, name in _OF_PIECE.items()}
+        return Material(**stated, scattering=scattering)
 
     def with_sigma(self, rule: SigmaRule | None) -> Piece:
         """Return the pieces with their own sigma or, if they have none, with the sigma of a rule.
@@ -633,10 +637,9 @@ class Surface:
 
 
 def refuse_too_many(place: str, number: float, area_per_piece: ArrayLike, surface: float) -> None:
-    """Raise DataError if pieces absorb more than surfaces of alpha = 1 would.
+    """Raise DataError, with ``place``, if pieces absorb more than ``surface`` m² of alpha = 1 would.
 
-    ``place`` is the name of the number in the message, ``area_per_piece`` (n_bands,) in m², and
-    ``surface`` the area of the room's surfaces in m².
+    ``area_per_piece`` (n_bands,) is in m².
     """
     absorbed = number * float(np.max(area_per_piece, initial=0.0))
     if absorbed > surface:
@@ -925,13 +928,10 @@ class Room:
             sides = checks.shaped("dimensions", self.dimensions, 3).tolist()
             put(self, dimensions=tuple(checks.positive("dimensions", s, "m") for s in sides))
         put(self, area_sigma=self._area_errors())
-        kelvin, percent = checks.shaped("climate_sigma", self.climate_sigma, 2).tolist()
-        place = "climate_sigma"
-        climate = (
-            checks.between(place, kelvin, 0, 20, "K"),
-            checks.between(place, percent, 0, 50, "%"),
-        )
-        put(self, climate_sigma=climate)
+        climate = checks.shaped("climate_sigma", self.climate_sigma, 2).tolist()
+        for value, most, unit in zip(climate, (20, 50), ("K", "%"), strict=True):
+            checks.between("climate_sigma", value, 0, most, unit)
+        put(self, climate_sigma=tuple(climate))
         if self.air is None and any(climate):
             raise DataError("climate_sigma is given, but the room has no air; give air, too")
         self._check_surfaces()
@@ -943,12 +943,7 @@ class Room:
             raise DataError("materials is empty; a room must have at least one material")
         if blank := [m for m in self.materials if not m.strip()]:
             raise DataError(f"materials has {blank[0]!r}; a name must not be blank")
-        checks.distinct(
-            "materials",
-            self.materials,
-            "give each material once, with its total area (Room.from_surfaces sums the surfaces of "
-            "a material)",
-        )
+        checks.distinct("materials", self.materials, "give each once, with its total area")
         if alike := checks.look_alike(self.materials):
             raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {checks.LOOKS}')
         for name in self.pieces:
@@ -960,10 +955,7 @@ class Room:
             )
 
     def _put_coefficients(self, name: str, clip: bool) -> None:
-        """Put the table (n_materials, n_bands) of this name in its place once its values are checked.
-
-        With ``clip``, a laboratory's coefficients above 1 become 1.
-        """
+        """Check and set a table (n_materials, n_bands); ``clip`` makes a laboratory's values above 1 1."""
         stated = in_order(name, getattr(self, name), self.materials)
         table = checks.shaped(name, stated, self.n_materials, self.n_bands)
         if clip:
@@ -980,7 +972,7 @@ class Room:
                 return f"{LEAST_SIGMA:g} or more, or 0 for a coefficient that is known exactly"
             if name == "alpha" and 1 < value <= LARGEST_LABORATORY_ALPHA:
                 return f"from 0 to 1{above_one_hint(value)}"
-            return f"from 0 to 1{checks.IN_PERCENT * bool(1 < value <= 100)}"
+            return f"from 0 to 1{checks.IN_PERCENT if 1 < value <= 100 else ''}"
 
         allowed = (table >= 0) & (table <= self.most_alpha)
         if name == "sigma":
@@ -1361,10 +1353,14 @@ class Room:
         Coefficients above 1 that the room set to 1 are 1 in these tables.
         """
         covered = {surface.material for surface in self.surfaces}
-        rows = [
-            {"name": name, "area": None, **asdict(self.material(name))}
-            | ({"area": None} if name in covered else {})
-            for name in self.materials
+        rows = {name: asdict(self.material(name)) for name in self.materials}
+        pieces = [
+            {key: rows[name][of] for of, key in _OF_PIECE.items() if rows[name][of]}
+            for name in self.pieces
+        ]
+        materials = [
+            {"name": name, "area": None} | row | ({"area": None} if name in covered else {})
+            for name, row in rows.items()
             if name not in self.pieces
         ]
         tables = {
@@ -1381,8 +1377,8 @@ class Room:
             "prior": {"band_correlation": self.band_correlation} if self.band_correlation else None,
             "air": self.air and dict(sorted(asdict(self.air).items())),
             "calibration": self.calibration and asdict(self.calibration),
-            "material": [{k: v for k, v in row.items() if v} for row in rows],
-            "object": [self._piece_table(name) for name in self.pieces],
+            "material": [{k: v for k, v in row.items() if v} for row in materials],
+            "object": pieces,
             "correlation": [
                 {"materials": list(pair), "value": float(value)}
                 for pair, value in self.material_correlation.items()
@@ -1393,13 +1389,6 @@ class Room:
             ],
         }
         return {name: table for name, table in tables.items() if table}
-
-    def _piece_table(self, name: str) -> dict[str, Any]:
-        """Return an ``[[object]]`` of the room's file."""
-        m = self.material(name)
-        table = {"name": name, "number": m.area, "area_per_piece": m.alpha, "sigma": m.sigma}
-        more = {"number_sigma": m.area_sigma, "source": m.source}
-        return table | {k: v for k, v in more.items() if v}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], place: str = "") -> Room:
@@ -1542,8 +1531,6 @@ def above_one_hint(alpha: float) -> str:
 
     The text says that a laboratory may report such coefficients (ISO 354), and what to do.
 
-    Examples
-    --------
     >>> above_one_hint(1.2)[:36], above_one_hint(0.7)
     ('. A laboratory may report more than ', '')
     """
@@ -1660,10 +1647,7 @@ def refuse_repeated_data(room: Room, *names: str) -> None:
     what = first_of([_value_in_words(name.partition(":")[0], label) for label in shared], 3)
     how, instead = "was already calibrated on", "Use the room as it was before, or other data"
     if record.method == ARCHIVE:
-        how, instead = (
-            "has coefficients of an archive that contains",
-            "Learn the archive without it",
-        )
+        how, instead = "is of an archive that contains", "Learn the archive without this room"
     raise DataError(
         f'room "{room.name}" {how} these data ({what}); calibrating to them again would count them '
         f"twice. {instead}"

@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -40,7 +39,7 @@ from rtcal.acoustics.room import Room, in_order
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError, SimulatorError, TooShortError, of_bands
 from rtcal.support.text import as_sentence, shortened
-from rtcal.support.types import Array
+from rtcal.support.types import Array, put
 
 
 @runtime_checkable
@@ -177,14 +176,15 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
     ordered = in_order("alpha", alpha, materials)
     alpha = checks.shaped("alpha", ordered, len(materials), len(frequencies))
     room = getattr(of, "room", of)
-    most: Array | float = 1.0
+    most = np.ones(alpha.shape)
     if isinstance(room, Room) and room.n_materials == len(materials):
         most = room.most_alpha
-    if (outside := ~((alpha >= 0) & (alpha <= most))).any():
-        i, k = (int(v) for v in np.argwhere(outside)[0])
-        place = f'alpha["{materials[i]}", {bands.label(frequencies[k])}]'
-        end = np.broadcast_to(most, alpha.shape)[i, k]
-        raise DataError(f"{place} = {alpha[i, k]:g} must be from 0 to {end:g}")
+    checks.entries(
+        lambda i, k: f'alpha["{materials[i]}", {bands.label(float(frequencies[k]))}]',
+        alpha,
+        (alpha >= 0) & (alpha <= most),
+        lambda i, k: f"from 0 to {most[i, k]:g}",
+    )
     return alpha
 
 
@@ -314,15 +314,18 @@ class Observations:
     direct: Array | None = None  # share of the direct sound in the energy, (n_pairs, n_bands)
 
     def __post_init__(self) -> None:
-        put, place = partial(object.__setattr__, self), "Observations: "
-        put("parameters", checks.texts(f"{place}parameters", self.parameters))
-        put("pairs", checks.pairs(f"{place}pairs", self.pairs))
+        place = "Observations: "
         f = checks.shaped(f"{place}centre_frequencies", self.centre_frequencies, "n_bands")
-        put("centre_frequencies", f)
         shape = (len(self.parameters), len(self.pairs), len(f))
-        put("values", checks.shaped(f"{place}values", self.values, *shape))
+        put(
+            self,
+            parameters=checks.texts(f"{place}parameters", self.parameters),
+            pairs=checks.pairs(f"{place}pairs", self.pairs),
+            centre_frequencies=f,
+            values=checks.shaped(f"{place}values", self.values, *shape),
+        )
         if self.direct is not None:
-            put("direct", checks.shaped(f"{place}direct", self.direct, *shape[1:]))
+            put(self, direct=checks.shaped(f"{place}direct", self.direct, *shape[1:]))
 
     def __repr__(self) -> str:
         return (
@@ -345,10 +348,7 @@ class Observations:
         return found
 
     def at(self, like: Observations) -> Observations:
-        """Return these observations for the parameters and pairs of other observations.
-
-        ``like`` are these other observations.
-        """
+        """Return these observations for the parameters and pairs of other observations, ``like``."""
         rows = [self.parameters.index(p) for p in like.parameters]
         columns = [self.pairs.index(pair) for pair in like.pairs]
         shape = (len(rows), len(columns), len(self.centre_frequencies))
@@ -402,13 +402,9 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
     if not names:
         raise DataError("match is empty; give at least one parameter")
     for name in names:
-        if not isinstance(name, str) or name not in OBSERVABLES:
-            raise DataError(
-                f'match has "{name}", which is not known; known are {", ".join(OBSERVABLES)}'
-            )
-    if len(set(names)) < len(names):
-        raise DataError(f"match has a parameter twice: {', '.join(names)}")
-    return tuple(names)
+        checks.choice("match", name, OBSERVABLES)
+    checks.distinct("match", names, "give each parameter once")
+    return names
 
 
 def derivatives(simulator: Simulator) -> Any:

@@ -40,7 +40,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import thread_pool
 from rtcal.support.text import rounded
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 
 ScatteringModel = Literal["random", "vector"]
 """Model of the reflection of a path at a wall with the scattering coefficient s.
@@ -93,14 +93,16 @@ class Tracer(RoomSimulator, ABC):
         self.geometry.positions(**of_kinds)
         for kind, points in of_kinds.items():
             places = {str(name): tuple(map(float, point)) for name, point in points.items()}
-            object.__setattr__(self, kind, places)
+            put(self, **{kind: places})
         checks.whole("n_batches", self.n_batches, 1)
         observables.bins(self.bin_width)
         if self.radius is not None:
             checks.positive("radius", self.radius, "m")
-        object.__setattr__(self, "made_of", check_walls(self.geometry, self.room))
-        scattering = scattering_coefficients(self.room, self.scattering)
-        object.__setattr__(self, "scattering", scattering)
+        put(
+            self,
+            made_of=check_walls(self.geometry, self.room),
+            scattering=scattering_coefficients(self.room, self.scattering),
+        )
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -301,9 +303,8 @@ def scattering_coefficients(room: Room, scattering: Any) -> Array:
             f"scattering: {error}; it must be a number or have shape (n_materials,) or "
             f"(n_materials, n_bands) = {shape}"
         ) from error
-    if (outside := ~((values >= 0) & (values <= 1))).any():
-        i, k = (int(v) for v in np.argwhere(outside)[0])
-        raise DataError(f"{room.place('scattering', i, k)} = {values[i, k]:g} must be from 0 to 1")
+    place = partial(room.place, "scattering")
+    checks.entries(place, values, (values >= 0) & (values <= 1), "from 0 to 1")
     return read_only(values)
 
 
@@ -1036,7 +1037,7 @@ class PathTracing(Tracer):
         super().__post_init__()
         self._check_batches("n_paths", self.n_paths)
         if self.scattering_model is None:
-            object.__setattr__(self, "scattering_model", self.room.scattering_model)
+            put(self, scattering_model=self.room.scattering_model)
         checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         stated = directivities(self.directivity, self.sources)
         for name, of in stated.items():
@@ -1046,7 +1047,7 @@ class PathTracing(Tracer):
                         f'directivity["{name}"] is a file; read it with rtcal.io.balloon.read first'
                     )
                 stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
-        object.__setattr__(self, "directivity", stated)
+        put(self, directivity=stated)
         if self.workers is not None:
             checks.whole("workers", self.workers, 1)
         if self.thinned is not None:
@@ -1152,8 +1153,7 @@ class PathTracing(Tracer):
             vars(changed).pop(name, None)
         # A key with a band, too, has the paths of its directivity.
         kept = {key: of for key, of in self._traced.items() if len(key) == 2}
-        object.__setattr__(changed, "_traced", kept)
-        object.__setattr__(changed, "directivity", {**self.directivity, **directivity})
+        put(changed, _traced=kept, directivity={**self.directivity, **directivity})
         return changed
 
     def afresh(self) -> PathTracing:
