@@ -955,7 +955,7 @@ class Room:
             )
 
     def _put_coefficients(self, name: str, clip: bool) -> None:
-        """Check and set a table (n_materials, n_bands); ``clip`` sets laboratory values above 1 to 1."""
+        """Check and set a table (n_materials, n_bands); ``clip`` makes laboratory values above 1 1."""
         stated = in_order(name, getattr(self, name), self.materials)
         table = checks.shaped(name, stated, self.n_materials, self.n_bands)
         if clip:
