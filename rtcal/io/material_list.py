@@ -1130,11 +1130,11 @@ def _parse_bras(
             if all(cells[names.index(column)][0] == entry for column, entry in where.items())
         ]
         if not materials:
-            raise DataError(f"{path}: no row fits the selection (where)")
+            raise DataError(f"{place}: no row fits the selection (where)")
         return MaterialList(path=path, text=text, materials=tuple(materials))
     if where or not 1 <= len(rows) <= 2:
         raise DataError(
-            f"{path}: has {1 + len(rows)} rows of numbers; give 2 or 3: frequencies, absorption and, "
+            f"{place}: has {1 + len(rows)} rows of numbers; give 2 or 3: frequencies, absorption and, "
             'if known, scattering; where selects from a table with a column "material" alone'
         )
     (of_row, line, row), scatters = rows[0], rows[1][2] if len(rows) > 1 else None
