@@ -6,11 +6,12 @@ import struct
 import subprocess
 import sys
 import time
+import tomllib
 import zipfile
 
 import pytest
 
-from rtcal.io import mesh
+from rtcal.io import mesh, tables
 from rtcal.support.errors import DataError
 from tests.corpus import book
 
@@ -51,7 +52,24 @@ def instances(levels):
 """.encode()
 
 
+def cycle():
+    """Return a 3MF whose objects hold each other ten times."""
+    parts = [f'<component objectid="{k}"/>' for k in (*[1] * 9, 2)]
+    objects = [
+        f'<object id="{k}"><components>{"".join(parts)}</components></object>' for k in (1, 2)
+    ]
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr(
+            "3D/3dmodel.model",
+            '<model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>'
+            f'{"".join(objects)}</resources><build><item objectid="1"/></build></model>',
+        )
+    return stream.getvalue()
+
+
 HOSTILE = {
+    "cycle.3mf": cycle,
     "instances.dae": lambda: instances(9),
     "merged.xlsx": lambda: workbook(
         f'<sheetData><row r="1">{cell("A1")}</row></sheetData><mergeCells count="1"><mergeCell '
@@ -142,3 +160,18 @@ def test_instances_of_instances_are_read(tmp_path):
     with pytest.raises(DataError, match="faces, but at most"):
         mesh.read(path)
     assert time.process_time() - start < 2
+
+
+def test_a_text_larger_than_any_toml_of_ours_is_not_parsed_as_one(tmp_path, monkeypatch):
+    path = tmp_path / "line.csv"
+    path.write_bytes(b"a" * 2**23)
+    monkeypatch.setattr(tomllib, "loads", lambda _: pytest.fail("parsed as TOML"))
+    with pytest.raises(DataError, match=r"line\.csv: the file has more than"):
+        tables.read(path)
+
+
+def test_a_loop_of_symbolic_links_is_refused_by_its_name(tmp_path, rtcal):
+    path = tmp_path / "loop.csv"
+    path.symlink_to(path)
+    for command in (("table",), ("calibrate", path), ("report",)):
+        assert "loop.csv: Too many levels of symbolic links" in rtcal.refused(*command, path)

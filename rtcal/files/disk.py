@@ -356,9 +356,10 @@ def spare(
     written: Sequence[str | os.PathLike[str] | None], read: Sequence[str | os.PathLike[str] | None]
 ) -> None:
     """Raise DataError if a path to be written is also read, or would be written twice; None is none."""
-    taken = {Path(path).resolve(): path for path in read if path is not None}
+    # As Path.resolve, but a loop of symbolic links is left to the reader, which names it.
+    taken = {os.path.realpath(path): path for path in read if path is not None}
     for path in (path for path in written if path is not None):
-        place = Path(path).resolve()
+        place = os.path.realpath(path)
         if place in taken:
             raise DataError(
                 f"{path}: this output would overwrite {taken[place]}. Choose another name "

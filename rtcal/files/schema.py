@@ -358,6 +358,7 @@ _EXAMPLE = dict.fromkeys(
 ) | {"a case": "`rtcal find` also takes a room, followed by its measurement"}
 _NO_TABLE = re.compile(r"\s*(?:\[|\{|[\w.\"-]+\s*=)")
 _MOST_OF_A_FILE = 2**25
+_MOST_OF_TOML = 2**20  # Larger than any file of rtcal's in TOML; the parser needs seconds for more
 _SOUNDS = (b"RIFF", b"RF64", b"riff", b"fLaC", b"FORM", b"OggS", b"caff", b"\x89HDF")
 """First bytes of WAV, W64, FLAC, AIFF, Ogg, CAF and SOFA files."""
 
@@ -371,9 +372,11 @@ def kind_of(path: str | os.PathLike[str]) -> str:
         if content.startswith(b"PK"):
             return TABLE if b"xl/workbook" in content else ""
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1")
-        parse = json_object if text.lstrip().startswith("{") else toml_table
+        is_json = text.lstrip()[:1] == "{"
         with suppress(DataError):
-            held = parse(text.replace("\r\n", "\n"))
+            if not is_json and len(text) > _MOST_OF_TOML:
+                raise DataError("too large for TOML")
+            held = (json_object if is_json else toml_table)(text.replace("\r\n", "\n"))
             return next((kind for key, (kind, _) in _HOLDS.items() if key in held), "")
         first = [line for line in text.splitlines() if line.strip() and line.strip()[0] != "#"][:2]
         cells = [line for line in first if re.search(r"[,;\t]", line) and not _NO_TABLE.match(line)]

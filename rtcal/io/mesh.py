@@ -380,6 +380,7 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
             number, matrix = left.pop()
             yield number, matrix
             left += [(of, own @ matrix) for of, own in drawn(number)[3]]
+            budget.require(len(left), budget.MAX_FACES, "parts", path, _SIMPLER)
 
     with _parsing(path, "3mf"):
         parts = _within_budget(placed(), lambda part: len(drawn(part[0])[2]), path)
