@@ -6,7 +6,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop.measured_pairs import BeyondPrior
 from rtcal.simulators import External
-from tests.conftest import run
+from tests.conftest import also, run
 
 BANDS = [250.0, 500.0, 1000.0]
 ALPHA = np.array([[0.04, 0.05, 0.06], [0.15, 0.2, 0.35], [0.3, 0.4, 0.5]])
@@ -165,3 +165,14 @@ def test_no_sigma_is_advised_for_a_t_that_no_coefficients_give(needed, said, adv
     )
     assert said in str(beyond)
     assert advice in str(beyond)
+
+
+@pytest.mark.parametrize("factor", [0.5, *also(0.25, 1.9)])
+def test_a_search_beside_a_run_of_other_coefficients_finds_nothing(factor, kept):
+    room, other = box(), box(factor * ALPHA)
+    simulated = rt.Run(other, means(t20=1.03 * times(other)))
+    found = rt.find(room, means(t20=times(room)), simulated=simulated, cache=kept)
+    assert found.verdict == "none"
+    said = " ".join(str(found).split())
+    assert "but the program differs from the measurement" in said
+    assert "The program's coefficients, which are not the input's" in said

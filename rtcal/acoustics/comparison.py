@@ -204,6 +204,11 @@ class Comparison(Result):
         )
         return np.nan_to_num(off)
 
+    @property
+    def had_other_coefficients(self) -> NDArray[np.bool_]:
+        """Whether other coefficients than the input's changed T by more than one JND, (n_bands,)."""
+        return np.asarray(np.abs(self.of_other_coefficients) > NOTICED)
+
     @cached_property
     def _per_jnd_of_time(self) -> dict[str, Array]:
         """Change of each parameter in JND with one JND of T in an exponential decay, (n_bands,)."""

@@ -16,8 +16,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from rtcal.acoustics.comparison import Comparison
-from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.comparison import Comparison, compare
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.run import Run
 from rtcal.files.disk import json_numbers
@@ -198,14 +197,13 @@ class Finding(Result):
         if not self.modelled:
             return ()
         if self.kind == "positions":
-            measured = [case.in_room.select(case.pairs)]
+            each = [(case.in_room.select(case.pairs), None)]
         else:
-            measured = [c.measured for c in case.configurations]
+            each = [(c.measured, c.simulated) for c in case.configurations]
         made = list[Comparison]()
-        for model, values in zip(self.modelled, measured, strict=True):
-            run = Run(case.room, model)
+        for model, (values, run) in zip(self.modelled, each, strict=True):
             with suppress(DataError):  # they have nothing in common
-                made.append(Comparison(run=run, measured=values, equation=Eyring()))
+                made.append(compare(case.room, values, Run(run.room if run else case.room, model)))
         return tuple(made)
 
     @property

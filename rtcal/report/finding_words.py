@@ -91,6 +91,8 @@ SENTENCES: dict[str, str] = {
     "{most}.",
     "coefficients suffice": "The uncertainty of the coefficients, together with {error}, can explain "
     "this difference.",
+    "other coefficients suffice": "The program's coefficients, which are not the input's, together with "
+    "{error}, can explain this difference.",
     "agrees": "The {who} agrees with the measurement: within the uncertainty of input values, "
     "measurement and {who}, nothing is found to be missing from the {lacks}.",
     "agrees at pairs": "The {who} agrees with the measurement in the mean over the pairs: at every "
@@ -609,7 +611,10 @@ def _nothing_missing(f: Finding) -> list[str]:
     error = f"the error of the {'program' if f.case.has_run else 'equation'}"
     error = "scattering" if f.kind == "positions" else error
     _, most = max(map(_largest, f.comparisons))
-    return [say("differs", who=who, most=most), say("coefficients suffice", error=error), *off]
+    suffices = "coefficients suffice"
+    if any(c.had_other_coefficients.any() for c in f.comparisons):
+        suffices = "other coefficients suffice"
+    return [say("differs", who=who, most=most), say(suffices, error=error), *off]
 
 
 def _largest(c: Comparison) -> tuple[float, str]:

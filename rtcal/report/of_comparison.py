@@ -166,7 +166,7 @@ def _coefficients(c: Comparison) -> list[str]:
         ]
     part, others = ("a part of ", f", but not those of {listed(no)}") if no else ("", "")
     whose, which = "Wrong input coefficients", "other coefficients"
-    if (np.abs(c.of_other_coefficients) > NOTICED).any():
+    if c.had_other_coefficients.any():
         whose, which = "The program's coefficients", "the input coefficients, or others"
     return [
         f"{whose} may be {part}the cause: {which} within their sigma "
@@ -176,9 +176,9 @@ def _coefficients(c: Comparison) -> list[str]:
 
 def _other_coefficients(c: Comparison) -> list[str]:
     """Return how the run's T differs because its coefficients are not the input's, where noticed."""
-    off = c.of_other_coefficients
-    if not (differs := np.abs(off) > NOTICED).any():
+    if not (differs := c.had_other_coefficients).any():
         return []
+    off = c.of_other_coefficients
     how = _groups(c, off, differs, REVERBERATION[0].key, ("shorter", "longer"))
     return [
         "The program had other coefficients than the input: with them T by "
