@@ -176,3 +176,62 @@ def test_a_search_beside_a_run_of_other_coefficients_finds_nothing(factor, kept)
     said = " ".join(str(found).split())
     assert "but the program differs from the measurement" in said
     assert "The program's coefficients, which are not the input's" in said
+
+
+STATED = rt.Air(temperature=20, humidity=50)
+OTHER = rt.Air(temperature=24, humidity=25)
+HIGH = [500.0, 1000.0, 2000.0, 4000.0, 8000.0]
+
+
+def between(volume, factor, air, *, exchanged=False):
+    """Find what changed in a room: its coefficients by a factor, and the climate."""
+    walls, alpha = (volume / 90) ** (2 / 3), np.outer([0.05, 0.2, 0.3], np.ones(5))
+
+    def room(by, air):
+        return rt.Room(
+            name="states",
+            volume=volume,
+            materials=["plaster", "carpet", "tile"],
+            areas=[66 * walls, 30 * walls, 30 * walls],
+            alpha=by * alpha,
+            sigma=0.3 * by * alpha,
+            centre_frequencies=HIGH,
+            air=air,
+        )
+
+    first = room(1.0, STATED)
+    states = [rt.Measurement.from_values(HIGH, t20=times(r)) for r in (first, room(factor, air))]
+    before, after = states[::-1] if exchanged else states
+    return rt.find(first, after, before=before)
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+@pytest.mark.parametrize("air", [STATED, OTHER], ids=["same air", "other air"])
+@pytest.mark.parametrize("factor", [1.2, *also(0.8, 1.5, 0.6)])
+@pytest.mark.parametrize("volume", [9000.0, *also(90.0)])
+def test_a_change_is_said_in_its_direction(volume, factor, air, exchanged):
+    found = between(volume, factor, air, exchanged=exchanged)
+    said = " ".join(str(found).split())
+    more = (factor > 1) != exchanged
+    assert f" {'more' if more else 'less'} absorption at 500 to 2000 Hz than before" in said
+    assert f" {'less' if more else 'more'} absorption at" not in said
+    # A caution about the climate stands where the data show one, and not where they show nothing.
+    if air is STATED:
+        assert "climate" not in said
+    elif volume == 9000.0:
+        assert "A change of the climate explains a part" in said
+
+
+@pytest.mark.parametrize("exchanged", [False, True])
+@pytest.mark.parametrize("humidity", [25, *also(30, 40, 70)])
+def test_a_change_of_the_climate_alone_is_said_first(humidity, exchanged):
+    found = between(9000.0, 1.0, rt.Air(temperature=20, humidity=humidity), exchanged=exchanged)
+    said = " ".join(str(found).split())
+    assert said.startswith("The climate of the air changed, and nothing else")
+    interval = (found.size.low, found.size.high)
+    shorter = found.shift[-1] < 0
+    if interval[0] * interval[1] < 0:
+        assert "more absorption at" not in said
+        assert "less absorption at" not in said
+    else:
+        assert ("more absorption at" in said) == shorter

@@ -49,7 +49,7 @@ from rtcal.finder.records import (
     statement_of,
     stored,
 )
-from rtcal.finder.states import ADDED, REMOVED
+from rtcal.finder.states import ADDED, AIR, REMOVED
 from rtcal.finder.verification import Verification
 from rtcal.io.tables import unusual
 from rtcal.loop.measured_pairs import without_place
@@ -91,8 +91,8 @@ SENTENCES: dict[str, str] = {
     "{most}.",
     "coefficients suffice": "The uncertainty of the coefficients, together with {error}, can explain "
     "this difference.",
-    "other coefficients suffice": "The program's coefficients, which are not the input's, together with "
-    "{error}, can explain this difference.",
+    "other coefficients suffice": "The program's coefficients, which are not the input's, together "
+    "with {error}, can explain this difference.",
     "agrees": "The {who} agrees with the measurement: within the uncertainty of input values, "
     "measurement and {who}, nothing is found to be missing from the {lacks}.",
     "agrees at pairs": "The {who} agrees with the measurement in the mean over the pairs: at every "
@@ -296,6 +296,8 @@ SENTENCES: dict[str, str] = {
     "grows": "the deviation of {quantity} grows from {before:.2f} to {after:.2f} JND",
     "nothing claimed": "no effect and no group of effects is identified",
     # What else is known of the candidates.
+    "climate likeliest": "The climate of the air changed, and nothing else (probability "
+    "{probability:p}), or {change}.",
     "changes too": "A change of the climate explains a part of the change (probability "
     "{probability:p}).",
     "by seed": "The odds are near the required ones. They vary with the simulator's random numbers by "
@@ -713,13 +715,16 @@ def _change(f: Finding) -> str:
     size = f.size
     if f.family == "climate" or size is None or not np.isfinite(size.mean):
         return "the climate of the air changed"
-    added = f.families.get(f"{ADDED} absorption", 0.0) > (1 - f.probabilities[NONE]) / 2
     at = bands.label(f.middle[0])
     if len(f.middle) > 1:
         at = f"{f.middle[0]:g} to {f.middle[-1]:g} Hz"
+    if size.low < 0 < size.high:
+        ends = f"{size.low:+.3g} to {size.high:+.3g} m² (90 % interval)"
+        return f"the room's absorption at {at} changed by {ends}"
     low, high = sorted((abs(size.low), abs(size.high)))
     much = amount(abs(size.mean), "m²", (low, high))
-    said = f"the room has {much} {'more' if added else 'less'} absorption at {at} than before"
+    which = "more" if size.mean > 0 else "less"
+    said = f"the room has {much} {which} absorption at {at} than before"
     return f"{said}, {f.spectrum}" if f.spectrum else said
 
 
@@ -731,8 +736,11 @@ def _of_states(f: Finding) -> list[str]:
     if f.family == "climate":
         return ["The climate of the air changed, and nothing else."]
     on = quoted(f.identified_surfaces)
+    said = as_sentence(_change(f))
+    if next(iter(f.probabilities)) == AIR:
+        said = say("climate likeliest", probability=f.probabilities[AIR], change=_change(f))
     return [
-        as_sentence(_change(f)),
+        said,
         *([] if f.family is None else [_group(f)]),
         *([f"The change is on {on}."] if on else []),
     ]
@@ -787,6 +795,10 @@ def _doubts(f: Finding, measured: Measurement) -> Sequence[marks.TrustMark]:
     return marks.of_input(room, measured.in_bands(room.centre_frequencies).reverberation_time)
 
 
+_CLIMATE = 0.75
+"""Probability of another climate from which a caution names it. It is 0.5 before the measurement."""
+
+
 def cautions(f: Finding) -> list[str]:
     """Return reasons to doubt the answer, and likely typing errors in the input."""
     off, typed = f.coefficients, list[str]()
@@ -796,7 +808,9 @@ def cautions(f: Finding) -> list[str]:
     said = [str(r) for r in f.reasons if r is not f.leading and not _leads(f, r)]
     if f.kind == "positions":
         said = [*without_place(f.case.measured, f.case.simulator.pairs), *said]
-    elif f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= MOST:
+    elif (
+        f.kind == "states" and f.verdict != NONE and f.family != "climate" and f.climate >= _CLIMATE
+    ):
         said.append(say("changes too", probability=f.climate))
     if off is not None and f.best_effect != COEFFICIENTS:
         said.append(f"The input coefficients may have a common error ({percent(off.probability)}).")

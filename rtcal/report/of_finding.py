@@ -439,6 +439,8 @@ def correct(
         if calibrated is None or members != finding.members:
             calibrated = recalibrate(made.model.case, finding.discrepancy)
         undetected = [] if finding.detected else words.headline(finding)[:1]
+        added = [m for m in made.room.materials if m not in finding.case.room.materials]
+        areas = dict(zip(made.room.materials, made.room.areas, strict=True))
         lines = [
             " ".join([words.added(finding, members), *undetected]),
             *warned,
@@ -446,6 +448,11 @@ def correct(
             *lines_of(calibrated.blocks()),
             f"{ROOM} and {CASE} hold the input coefficients; only the table has the calibrated ones. "
             f"{confirmed}rtcal calibrate {out / ROOM} MEASURED --out FOLDER.",
+            *(
+                f'In {ROOM} "{m}" stands free with {areas[m]:.3g} m² and coefficients with which this '
+                "area absorbs what was found: a calibration can then make it absorb more or less."
+                for m in added
+            ),
             *(f"Note: {note}" for note in words.noted(finding)),
             *(["The room's file cannot hold:"] if made.notes else []),
             *(f"  - {note}" for note in made.notes),
