@@ -129,3 +129,13 @@ def test_a_room_keeps_the_unit_of_its_mesh(tmp_path, rtcal):
     entries = [f"--catalogue={name}=rough_concrete" for name in FACES]
     rtcal("import", "catalogue", "--mesh", path, *entries, "--out", out)
     assert geometry_files.read(rt.Room.from_file(str(out))).volume == pytest.approx(60, rel=1e-6)
+
+
+def test_a_name_with_a_number_sign_is_read_as_it_was_written():
+    """Colours are names of materials where a file has no others."""
+    sides = dict.fromkeys(("west", "east", "south", "north", "floor"), "colour #0ac80a")
+    box = rt.simulators.Polyhedron.shoebox([5, 4, 3], {**sides, "ceiling": "tile #2"})
+    read = obj.parse(box.to_text().encode())
+    assert read.areas == pytest.approx({"colour #0ac80a": 74.0, "tile #2": 20.0})
+    noted = box.to_text().replace("usemtl tile #2", "usemtl tile #2 # a note")
+    assert obj.parse(noted.encode()).areas == read.areas

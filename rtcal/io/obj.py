@@ -43,6 +43,9 @@ _IGNORED = frozenset(
     )
 )
 """Texture, normals, curves, material libraries and smoothing."""
+_NAMING = re.compile(r"\s*(?:usemtl|o|g)\s")
+_BEHIND_NAME = re.compile(r"\s#(?:\s|$)")
+_BEHIND_NUMBERS = re.compile("#")
 
 
 def read(
@@ -106,7 +109,9 @@ def drawn(
             continued += raw[:-1] + " "
             continue
         statement, continued = continued + raw, ""
-        words = statement.split("#", 1)[0].split(None, 1) or [""]
+        # A name may have a #, as colours of materials do; before a space it begins a comment.
+        comment = _BEHIND_NAME if _NAMING.match(statement) else _BEHIND_NUMBERS
+        words = comment.split(statement, 1)[0].split(None, 1) or [""]
         keyword, arguments = words[0], words[1].strip() if len(words) > 1 else ""
         if keyword == "v":
             if len(vertices) >= 4 * most:
