@@ -65,7 +65,9 @@ def between(
     """
     real, unit = number(place, value), f" {unit}".rstrip()
     if not least <= real <= most:
-        raise DataError(f"{place} = {real:.15g}{unit} must be from {least:g} to {most:g}{unit}{why}")
+        raise DataError(
+            f"{place} = {real:.15g}{unit} must be from {least:g} to {most:g}{unit}{why}"
+        )
     return real
 
 
