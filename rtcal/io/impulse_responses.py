@@ -701,7 +701,7 @@ def _evaluated(
         values={p: v for p, v in values.items() if reach >= needed[p]},
         ratio=ratio if reach >= max(needed.values()) else reach,
         floor=decayed.floor,
-        late=_is_late(in_range, rate, centre, times),
+        late=_is_late(in_range, rate, centre, times) or _sounds_again(energy, rate),
     )
 
 
@@ -722,6 +722,21 @@ def _is_late(level: Array, rate: float, centre: float, times: Mapping[str, float
     if t is None:  # the last 5 dB of EDT's range
         t = 12 * (most - int(np.argmax(level <= -5.0)) / rate)
     return most < _STEADIEST * half and centre * 6 * np.log(10) > _LATEST * t
+
+
+_QUIET = 3
+"""Blocks of 0.1 s after which no room returns as much as at first: an echo would come over 100 m."""
+
+
+def _sounds_again(energy: Array, rate: float) -> bool:
+    """Return whether a second sound begins, after a level 20 dB below the first for 0.3 s."""
+    block = int(0.1 * rate)
+    sums = energy[: len(energy) // block * block].reshape(-1, block).sum(axis=1)
+    if not sums.any():
+        return False
+    level = 10 * np.log10(np.maximum(sums / sums.max(), 1e-12))
+    quiet = np.convolve(level < -20.0, np.ones(_QUIET), "valid") == _QUIET
+    return bool(quiet.any() and (level[int(np.argmax(quiet)) :] > -3.0).any())
 
 
 class _Decay(NamedTuple):
