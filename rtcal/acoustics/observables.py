@@ -968,7 +968,10 @@ class Ts(Relative):
     """Centre time Ts in s, the centre of gravity of the energy (ISO 3382-1:2009, A.13)."""
 
     key, label, rank = "ts", "Ts", 70
-    spellings = "centretime centertime schwerpunktzeit"
+    spellings = (
+        "centretime centertime ctcentretime ctcentertime tscentretime tscentertime "
+        "schwerpunktzeit schwerpunktzeitts tempocentrale centrotempo tempobaricentrico"
+    )
     jnd = 0.010
     # Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s.
     limits = 0.0, 10.0

@@ -92,7 +92,9 @@ _REPEAT = re.compile(
     r"(.*?\d)(?:\s*\((\d+)\)|_(\d+)|[\s_]+(?:sweep|take|run|rep|repeat|messung|wdh)[\s_.-]*(\d+))",
     re.I | re.ASCII,
 )
-_BRACKETS = re.compile(r"([^\[\](]*(?:\(T?\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_BRACKETS = re.compile(
+    r"([^\[\](]*(?:\((?:T?\d+|cent(?:er|re) time)\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]", re.I
+)
 _UNIT_WITHIN = re.compile(r"([^\[\](]*\S)\s*[\[(]\s*(%|percent|m?s|sec|db)\s*[\])]\s*(\S.*)", re.I)
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
 _BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
@@ -437,6 +439,8 @@ def is_unused(text: str) -> bool:
     both = _BOTH.fullmatch(name)
     if name.partition(" ")[0] == UNCALIBRATED or _CORRELATION.fullmatch(text.strip()):
         return True
+    if {plain(text), plain(name)} & {*parameters()}:  # as "CT (Center Time)"
+        return False
     return any(plain(word) in UNUSED_PARAMETERS for word in (name, *([both[1]] if both else [])))
 
 

@@ -966,11 +966,25 @@ class _Table:
         if not chosen and where:
             selection = ", ".join(f"{name} = {entry}" for name, entry in where.items())
             raise DataError(f'{self.place}: no row has "{shown(selection)}"')
+        named = self._naming_parameters()
         for line, cells in chosen:
-            yield from self._of_row(cells, f"{self.sheet.place}, line {line}")
+            words = [cells[k] for k in named]
+            yield from self._of_row(cells, words, f"{self.sheet.place}, line {line}")
 
-    def _of_row(self, cells: Sequence[str], place: str) -> Iterator[_Value]:
-        """Yield the values of a row."""
+    def _naming_parameters(self) -> list[int]:
+        """Return the columns that are not stated as parameters, though each of their cells is one."""
+        return [
+            k
+            for k, column in enumerate(self.columns)
+            if not (column.has_values or column.kind == "parameter")
+            and (filled := [cells[k] for _, cells in self.rows if cells[k]])
+            and all(map(_names_parameter, filled))
+        ]
+
+    def _of_row(
+        self, cells: Sequence[str], words: Sequence[str], place: str
+    ) -> Iterator[_Value]:
+        """Yield the values of a row; ``words`` are its cells of columns that name parameters."""
         entries = {
             column.kind: cell
             for column, cell in zip(self.columns, cells, strict=True)
@@ -1007,6 +1021,13 @@ class _Table:
                     f'{place}: no header names the parameter of the value "{shown(cell)}". '
                     f'Name it, for instance with parameter="{likely}"'
                 )
+            for word in words:
+                if parameter_of(name_and_unit(word)[0]) not in ("", OPEN, parameter):
+                    raise DataError(
+                        f'{place}: this row says "{shown(word)}", but its values are stated as '
+                        f"{parameter_label(parameter)}. State its column as parameter, and the "
+                        "columns of its values as value"
+                    )
             band = column.band if column.has_band else row_band
             if band is None:
                 raise DataError(
