@@ -47,7 +47,7 @@ def _is_of_rew(text: str) -> bool:
 
 
 def _is_of_aurora(text: str) -> bool:
-    return _AURORA in text[:200]
+    return _AURORA in text[:200] or bool(_HEAD_OF_AURORA.search(text[:_LONGEST_START]))
 
 
 def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
@@ -214,6 +214,8 @@ def _averaged(band: str, value: str, percent: str, place: str) -> list[str]:
 
 
 _AURORA = "ISO3382 Acoustical Parameter File"
+_HEAD_OF_AURORA = re.compile(r"^Filename[\t;,]Frq\.band \[Hz\][\t;,]", re.M)
+"""Its own header, which shows it where the title was cut off."""
 _CHANNEL = re.compile(r"(?:.*\s)?(?:ch|channel)\s*(\d+)(?:\s.*)?", re.I)
 _WITHOUT_UNIT = {D50.key: "[%]", Ts.key: "[ms]"}
 

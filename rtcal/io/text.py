@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.text import decimal_comma
 
 MAX_TEXT = 2**18
 """Largest size in bytes of a material list, a table or a mesh: twice ODEON's own library."""
@@ -89,7 +90,8 @@ def number(token: str, place: str) -> float:
     plain = _TYPOGRAPHIC_MINUS.sub("-", token, count=1) if token else token
     value = float(plain) if len(plain) <= 40 and _NUMBER.match(plain) else float("nan")
     if not abs(value) < 1e300:
-        raise DataError(f'{place}: "{shown(token)}" must be a finite number')
+        advice = decimal_comma(token) if token.count(",") == 1 else ""
+        raise DataError(f'{place}: "{shown(token)}" must be a finite number{advice}')
     return value
 
 
