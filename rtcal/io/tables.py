@@ -981,9 +981,7 @@ class _Table:
             and all(map(_names_parameter, filled))
         ]
 
-    def _of_row(
-        self, cells: Sequence[str], words: Sequence[str], place: str
-    ) -> Iterator[_Value]:
+    def _of_row(self, cells: Sequence[str], words: Sequence[str], place: str) -> Iterator[_Value]:
         """Yield the values of a row; ``words`` are its cells of columns that name parameters."""
         entries = {
             column.kind: cell
