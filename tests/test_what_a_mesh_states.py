@@ -107,7 +107,14 @@ def stl_text(head, length):
         (".obj", obj_text, "# units: Millimeters\r", 0.001),
         (".obj", obj_text, "# 7 units of furniture, each in a box", None),
         (".obj", obj_text, "# units: mm\n# File units = inches", None),
+        (".obj", obj_text, "#units feet", 0.3048),
+        (".obj", obj_text, "# Model, units are in mm", 0.001),
+        (".obj", obj_text, "# All units in [inches]", 0.0254),
+        (".obj", obj_text, "# 1 unit = 1 cm", 0.01),
+        (".obj", obj_text, "# units in the file: none", None),
         (".ply", ply_text, "units: cm", 0.01),
+        (".ply", ply_text, "units cm", 0.01),
+        (".stl", stl_text, "hall units feet", 0.3048),
         (".stl", stl_text, "hall UNITS=feet", 0.3048),
         (".stl", stl_text, "hall", None),
     ],
@@ -121,6 +128,16 @@ def test_a_unit_in_a_comment_is_that_of_the_file(ending, written, head, length, 
     assert any("no unit" in note for note in done.notes) == (length is None)
     if ending == ".obj":
         assert obj.read(path).volume == pytest.approx(60, rel=1e-6)
+
+
+@pytest.mark.parametrize("head", ["# units: furlongs", "# File units = 2.5 cm"])
+def test_an_unknown_unit_in_a_comment_is_refused_unless_one_is_given(head, tmp_path):
+    path = tmp_path / "room.obj"
+    path.write_text(obj_text(head, 1.0))
+    for reader in (mesh.room, obj.read):
+        with pytest.raises(DataError, match=r"room.obj, line 1: the unit of .* is none of m, cm"):
+            reader(path)
+        assert reader(path, unit=1.0).volume == pytest.approx(60, rel=1e-6)
 
 
 def test_a_room_keeps_the_unit_of_its_mesh(tmp_path, rtcal):

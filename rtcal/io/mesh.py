@@ -20,7 +20,7 @@ import struct
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -117,7 +117,8 @@ def read(
     content, path = read_bytes(path, MAX_BYTES), os.fspath(path)
     drawn = READERS[ending](content, path, unit is not None)
     if ending in _WITH_COMMENTS:
-        drawn.unit = units.in_comments(content)
+        with suppress(DataError) if unit is not None else nullcontext():
+            drawn.unit = units.in_comments(content, path)
     rows = [*drawn.faces]
     if not rows:
         raise DataError(f"{path}: the mesh has no face; a room needs at least 4")

@@ -71,7 +71,7 @@ def parse(
     default False) are those of `read`.
     """
     if unit is None:
-        unit = in_comments(content) or 1.0
+        unit = in_comments(content, path) or 1.0
     unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:

@@ -99,20 +99,36 @@ def sides(text: str) -> tuple[tuple[float, float, float], float]:
 
 
 _COMMENT = re.compile(
-    r"(?:^[ \t]*(?:#|comment\b|solid\b).*|\A.{0,70})\bunits?[ \t]*[:=][ \t]*([a-z]+)\b", re.I | re.M
+    r"(?:^[ \t]*(?:#|comment\b|solid\b).*|\A.{0,70})"
+    r"\b(units?(?:[ \t]*([:=])[ \t]*([\d.,]*)|(?:[ \t]+(?:are|in)\b)*)[ \t]*[\[(\"']?([a-z]+))\b"
+    r"(?![ \t]*[:=])",
+    re.I | re.M,
 )
 """A unit that SketchUp and others write into a comment of OBJ, OFF or PLY, or into the head of STL."""
 _BEGINNING = 10_000
+_NO_UNIT = frozenset(("none", "generic", "unknown", "unitless", "no"))
 
 
-def in_comments(content: bytes) -> float | None:
+def in_comments(content: bytes, path: str = "mesh") -> float | None:
     r"""Return the length in m of the unit that comments at the start of a mesh state, or None.
+
+    Raises DataError for a unit behind a colon or an equals sign that is not known.
 
     >>> in_comments(b"# File units = inches\nv 1 2 3"), in_comments(b"v 1 2 3\nv 4 5 6")
     (0.0254, None)
     """
-    named = {w.lower() for w in _COMMENT.findall(content[:_BEGINNING].decode("latin-1"))}
-    lengths = {_WRITTEN[name] for name in named if name in _WRITTEN}
+    lengths, beginning = set[float](), content[:_BEGINNING].decode("latin-1")
+    for found in _COMMENT.finditer(beginning):
+        words, mark, factor, name = found.groups()
+        length = _WRITTEN.get(name.lower()) if factor in (None, "", "1") else None
+        if length is not None:
+            lengths.add(length)
+        elif mark and name.lower() not in _NO_UNIT:
+            line = beginning.count("\n", 0, found.end()) + 1
+            raise DataError(
+                f'{path}, line {line}: the unit of "{shown(words)}" is none of m, cm, mm, ft and in. '
+                "Give its length in m, such as unit = 0.001"
+            )
     return lengths.pop() if len(lengths) == 1 else None
 
 
