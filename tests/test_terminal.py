@@ -42,6 +42,11 @@ def test_a_long_task_says_how_far_it_is_without_a_terminal(monkeypatch):
         shown.update(1)
         assert re.match(r"weighing: 1 of 4 models done in 00:\d\d, about 00:", another_line())
     lines.clear()
+    with speed.bar(1, "response", wanted=False, say=lines.append) as shown:
+        assert re.fullmatch(r"0 of 1 response done in 00:\d\d", another_line())
+        shown.update(1)
+    assert re.fullmatch(r"1 of 1 response done in 00:\d\d", lines[-1])
+    lines.clear()
     with speed.bar(2, "figure", wanted=False, say=lines.append) as shown:
         speed.following(shown)(2, 2)
     time.sleep(0.1)

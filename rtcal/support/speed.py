@@ -119,7 +119,7 @@ def bar(
 
     ``unit`` is the name of a step. The bar appears after two seconds and shows how long the rest will
     take. If ``wanted`` is False there is no bar, as for a log: the function ``say`` is called with the
-    progress in words after ten seconds, 30, 70 and so on; None calls nothing.
+    progress in words after ten seconds, 30, 70 and so on, and then at the end; None calls nothing.
     """
     from tqdm import tqdm
 
@@ -139,21 +139,27 @@ def bar(
     ended = threading.Event()
     unseen = tqdm(total=count, unit=unit, file=io.StringIO(), bar_format=_IN_WORDS)
 
+    said = [0]  # finished steps in the last line
+
+    def state() -> str:
+        said.append(unseen.n)
+        return str(unseen).replace(f" of 1 {unit}s", f" of 1 {unit}").replace(", about ? left", "")
+
     def log() -> None:
         patience = PATIENCE
         while not ended.wait(patience):
-            say(
-                str(unseen).replace(", about ? left", "")
-                if unseen.total
-                else f"no {unit} is done yet"
-            )
+            say(state() if unseen.total else f"no {unit} is done yet")
             patience *= 2
 
-    threading.Thread(target=log, daemon=True).start()
+    logger = threading.Thread(target=log, daemon=True)
+    logger.start()
     try:
         yield unseen
     finally:
         ended.set()
+        logger.join()
+        if len(said) > 1 and unseen.n > said[-1]:
+            say(state().replace(", about 00:00 left", ""))
         unseen.close()
 
 
