@@ -247,6 +247,10 @@ def test_a_t_that_the_prior_cannot_explain_is_not_bent_into_scattering(name, fac
     mean = room.areas @ truth[:, BANDS.index(beyond.frequency)] / room.total_area
     assert beyond.needed == pytest.approx(mean, rel=0.35)  # by Sabine's law
     assert result.scattering is None
+    # Also where T is too short: the coefficients are then too large, and no absorption is missing.
+    of_tracing = [n for n in result.every_note if n.startswith("The input scattering was kept")]
+    assert all("correct wrong coefficients" in note for note in of_tracing)
+    assert len(of_tracing) == (name == "paths")
     assert fit(name, stated(PRIORS["wide"]), data).beyond is None
 
 

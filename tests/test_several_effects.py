@@ -34,7 +34,7 @@ from rtcal.finder.means.problem import (
 )
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.search import find
-from rtcal.report.finding_words import headline
+from rtcal.report.finding_words import cautions, details, headline, next_step
 from rtcal.support.errors import DataError
 from tests.conftest import also, measurement_of, room_of
 from tests.test_discrepancy import ALPHA, AREAS, F, alpha_covariance, controls_of
@@ -83,6 +83,24 @@ def compared_case(case, effects):
 def sought(case, only=FEW, **more):
     more = {"most": 3, **more}
     return find(case, only=only, controls=controls_of(case, 0.01), **more)
+
+
+def test_what_leads_in_place_of_an_effect_that_is_not_judged_is_not_the_next_step():
+    """Without directions a second room stands for uneven absorption, too, so these come first."""
+    shape = {"aperture": 20.0, "volume": 400.0, "alpha": 0.05}
+    case = case_with(AppliedEffect("coupled room", shape))
+    only = ("coupled room", "non-diffuse field")
+    found = sought(case, only, most=1)
+    assert found.best_effect == "coupled room"
+    assert next_step(found).startswith("State in which direction")
+    (said,) = (c for c in cautions(found) if "coupled room may be" in c)
+    assert said not in details(found)
+    # Another effect leads in no other's place: the sentence is a detail, the advice as it was.
+    other = sought(case_with(AppliedEffect("opening", {"area": 12.0})), ("opening", *only), most=1)
+    assert other.best_effect == "opening"
+    assert not next_step(other).startswith("State in which direction")
+    assert said in details(other)
+    assert said not in cautions(other)
 
 
 def row(c, name, place=3):

@@ -917,7 +917,7 @@ def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     """Return why the scattering was not fitted."""
     why = "there are too few reference simulations"
     if beyond is not None:
-        why = "no scattering can replace missing absorption"
+        why = "no scattering can correct wrong coefficients"
     elif tracer.scattering_model != "random":
         why = 'rtcal fits it with the model "random" only'
     elif np.isin(tracer.scattering, (0.0, 1.0)).all():

@@ -161,6 +161,8 @@ SENTENCES: dict[str, str] = {
     "them again.",
     "nothing to distinguish": "These data leave nothing to distinguish, which does not confirm the "
     "model.",
+    "directions first": "State in which direction the room's surfaces face, and search again, before "
+    "you look for {effect:name}.",
     "look it up": "Confirm {effect:name}: {effect:check}.",
     "measure without": "Confirm {effect:name}: measure once without it.",
     "confirmed": "{effect:name} was already measured with and without it; nothing else could confirm "
@@ -767,6 +769,8 @@ def next_step(f: Finding, verification: Verification | None = None) -> str:
     """Return the next step, a measurement or not, in a sentence; "" where nothing is left to do."""
     if step := without_measuring(f):
         return step
+    if any(_leads_in_place(f, reason) for reason in _not_judged(f)):
+        return say("directions first", effect=f.best_effect)
     if f.advice is not None:
         return str(f.advice)
     if f.kind != "positions" or f.verdict == NONE or f.best is None:
@@ -816,6 +820,7 @@ def cautions(f: Finding) -> list[str]:
         said.append(f"The input coefficients may have a common error ({percent(off.probability)}).")
     if f.kind == "positions" and abs(f.score - f.threshold) < BY_SEED:
         said.append(say("by seed", factor=np.exp(BY_SEED)))
+    said += [str(reason) for reason in _not_judged(f) if _leads_in_place(f, reason)]
     return [*map(as_sentence, dict.fromkeys(typed)), *said]
 
 
@@ -866,12 +871,23 @@ def _details_of_means(f: Finding) -> list[str]:
         said.append(f"The number of missing effects is {several}.")
         sets = [likely(set_of(names), p) for names, p in f.likely_sets.items()]
         said.append(f"The most probable sets of effects are {', '.join(sets)}.")
+    return said + [str(reason) for reason in _not_judged(f) if not _leads_in_place(f, reason)]
+
+
+def _not_judged(f: Finding) -> list[Reason]:
+    """Return which effects are not judged, with those that may be identified in their place."""
     families = {effect.name: effect.family for effect in library()}
+    out = []
     for name, why in f.not_judged.items():
         others = [k for k, e in f.effects.items() if e.family == families.get(name)]
         code = "stands for it" if others and why != IN_RUN else "not judged"
-        said.append(say(code, effect=name, why=why, others=others))
-    return said
+        out.append(Reason(code, {"effect": name, "why": why, "others": others}))
+    return out
+
+
+def _leads_in_place(f: Finding, reason: Reason) -> bool:
+    """Return whether the most probable effect may be identified in place of one that is not judged."""
+    return reason.code == "stands for it" and f.best_effect in reason.values["others"]
 
 
 def set_of(names: Sequence[str]) -> str:
