@@ -150,6 +150,21 @@ def test_what_is_declared_beyond_the_budget_is_refused_before_it_is_loaded(tmp_p
     assert told["megabytes"] < 300
 
 
+ENTITY = b'<?xml version="1.0"?>\n<!DOCTYPE x [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]>\n<x>&b;</x>'
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [("a.dae", ""), ("a.3mf", "3D/3dmodel.model"), ("a.xlsx", "xl/worksheets/sheet1.xml")],
+)
+def test_an_entity_of_xml_is_refused_by_its_line(name, part, tmp_path):
+    pytest.importorskip("collada")
+    (tmp_path / name).write_bytes(workbook("", **{part: ENTITY}) if part else ENTITY)
+    place = rf"{name}: {part}, line 2" if part else f"{name}, line 2"
+    with pytest.raises(DataError, match=f"{place}: declares an XML entity"):
+        (tables if part.startswith("xl") else mesh).read(tmp_path / name)
+
+
 def test_instances_of_instances_are_read(tmp_path):
     pytest.importorskip("collada")
     path = tmp_path / "instances.dae"

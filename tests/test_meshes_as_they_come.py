@@ -334,6 +334,7 @@ HEAD = b"0\nSECTION\n2\nENTITIES\n"
         ("a.skp", b"", r"SketchUp's own format; export COLLADA"),
         ("a.xyz", b"", r'"\.xyz" is not a mesh format; rtcal reads \.obj, \.dxf'),
         ("a.glb", b"glTF broken", r"a\.glb: cannot be read as glb"),
+        ("a.gltf", b'{"x": ' + b"[" * 100_000, r"a\.gltf: its JSON is nested too deeply for gltf"),
         ("a.stl", b"", r"a\.stl: cannot be read as stl|the mesh has no face"),
         (
             "a.ply",

@@ -50,6 +50,19 @@ def parsing(path: str, kind: str, remedy: str, extra: str = "all") -> Iterator[N
         raise DataError(f"{path}: cannot be read as {kind}: {why}. {remedy}") from error
 
 
+def without_entities(content: bytes, path: str) -> bytes:
+    """Return an XML text; DataError if it declares entities, a few of which unpack to gigabytes."""
+    plain = content.replace(b"\0", b"")  # of UTF-16
+    at = plain.find(b"<!ENTITY")
+    if at >= 0:
+        line = plain.count(b"\n", 0, at) + 1
+        raise DataError(
+            f"{path}, line {line}: declares an XML entity, which no export needs and rtcal does not "
+            "read. Export it again"
+        )
+    return content
+
+
 def members(content: bytes, path: str, kind: str) -> dict[str, int]:
     """Return the sizes in bytes of a zip file's members by name."""
     with parsing(path, kind, "Export it again"), zipfile.ZipFile(io.BytesIO(content)) as archive:

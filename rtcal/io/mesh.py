@@ -345,7 +345,8 @@ def _by_3mf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
     items: list[Any] = []
     with _parsing(path, "3mf"), zipfile.ZipFile(io.BytesIO(content)) as archive:
         for name in (name for name in sizes if name.lower().endswith(".model")):
-            model = ElementTree.fromstring(archive.read(name))
+            xml = budget.without_entities(archive.read(name), f"{path}: {name}")
+            model = ElementTree.fromstring(xml)
             stated = model.get("unit", stated)
             objects |= {of.get("id", ""): of for of in model.iter(f"{_3MF}object")}
             items += model.iter(f"{_3MF}item")
@@ -439,7 +440,11 @@ def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
             for material in tree.get("materials", ())
             for of in (material.get("pbrMetallicRoughness", {}),)
         ]
-    except (ValueError, TypeError, KeyError, AttributeError, struct.error, RecursionError) as error:
+    except RecursionError as error:
+        raise DataError(
+            f"{path}: its JSON is nested too deeply for {ending[1:]}; export it again"
+        ) from error
+    except (ValueError, TypeError, KeyError, AttributeError, struct.error) as error:
         raise DataError(f"{path}: cannot be read as {ending[1:]}: {error}") from error
     budget.require(sum(counts), 12 * budget.MAX_FACES, "numbers in its accessors", path, _SIMPLER)
     if shared := [k for k, n in children.items() if n > 1]:
@@ -517,7 +522,8 @@ def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
     collada = library(needed, "collada", "collada.common", "collada.lineset")
     with _parsing(path, "COLLADA"):
         ignored = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
-        model = collada.Collada(io.BytesIO(content), ignore=ignored)
+        source = io.BytesIO(budget.without_entities(content, path))
+        model = collada.Collada(source, ignore=ignored)
         lines_only = collada.lineset.LineSet, collada.lineset.BoundLineSet
 
         def n_faces(placed: tuple[str, Any]) -> int:
