@@ -1,5 +1,7 @@
 """Questions whose answer is known without a calculation: twice as long, exchanged, copied, in ms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -165,6 +167,11 @@ def test_no_sigma_is_advised_for_a_t_that_no_coefficients_give(needed, said, adv
     )
     assert said in str(beyond)
     assert advice in str(beyond)
+    exact = str(
+        replace(beyond, reached=beyond.simulated)
+    )  # of a sigma of 0, which no factor raises
+    assert "times as large" not in exact
+    assert ("Enter a sigma above 0" in exact) == (needed == 0.3)
 
 
 @pytest.mark.parametrize("factor", [0.5, *also(0.25, 1.9)])

@@ -443,9 +443,10 @@ class BeyondPrior:
     def __str__(self) -> str:
         name, sigma = parameter_label(self.parameter), abs(self.z)
         needed = f"of {self.needed:.2f} instead of the input's {self.stated:.2f}"
-        advice = (
-            f"Enter a sigma {sigma / _REACH:.0f} times as large if the coefficients are guesses"
-        )
+        larger = f"{sigma / _REACH:.0f} times as large"
+        if self.reached == self.simulated:  # a sigma of 0, which no factor makes larger
+            larger = "above 0"
+        advice = f"Enter a sigma {larger} if the coefficients are guesses"
         if not 0 < self.needed < _POSSIBLE:
             needed = "below 0" if self.needed <= 0 else f"above {_POSSIBLE}"
             advice = "Check the unit of T and the size of the room"
