@@ -40,7 +40,10 @@ PROPOSED = 3
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
 _OF_POSITIONS = ("match", "exclude", "scattering", "paths")
+_OF_DIAGNOSIS = (*_OF_POSITIONS, "seed", "scheduler")
+"""Options of `diagnose` that `find` and `fit` take, too."""
 _OF_MEANS = ("prior", "most", "program")
+_DEFAULTS = (("most", 1), ("seed", 0))
 _OF_RUN = ("simulated", "at", "program")
 _NEEDS_POSITIONS = (
     " needs positions: a room with [sources] and [receivers], and a measurement with a row for each "
@@ -53,7 +56,7 @@ _ENDINGS = (".csv", ".json", ".toml")
 def stated(options: Mapping[str, Any], *names: str) -> dict[str, Any]:
     """Return the values of the options of these names that are not at their defaults."""
     every = {name: options.get(name) for name in names}
-    return {k: v for k, v in every.items() if v not in (None, ()) and (k, v) != ("most", 1)}
+    return {k: v for k, v in every.items() if v not in (None, ()) and (k, v) not in _DEFAULTS}
 
 
 def _is_case(options: Mapping[str, Any]) -> bool:
@@ -171,6 +174,12 @@ def kept_beside(path: str) -> Path:
     from rtcal.finder.means.engines import FOLDER
 
     return Path(path).parent / FOLDER
+
+
+def _as_given(options: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return options by name as words of a command line, an option of several values once for each."""
+    every = ((name, v if isinstance(v, tuple) else (v,)) for name, v in options.items())
+    return tuple(word for name, values in every for v in values for word in (f"--{name}", str(v)))
 
 
 def refuse(stated: Mapping[str, object], why: str) -> None:
@@ -563,7 +572,11 @@ def diagnose(args: Namespace) -> None:
     cache = kept_beside(args.case)
     verification = verified(finding, cache, args.scheduler)
     given = tuple(filter(None, (args.case, args.measured)))
-    result = replace(diagnosis(finding, verification, cache=cache), given=given)
+    result = replace(
+        diagnosis(finding, verification, seed=args.seed, cache=cache),
+        given=given,
+        options=_as_given(stated(vars(args), *_OF_DIAGNOSIS)),
+    )
     if args.out is not None:
         written = of_diagnosis.contents(result, args.out, console.heading(args))
         write_all(written, args.out)

@@ -41,6 +41,8 @@ class Diagnosis(Result):
     """Model with the added effect, calibrated to all data; the model as given if nothing was added."""
     given: tuple[str, ...] = ("room.toml", "measured.csv")
     """Names of the files that were read, first that of the case or room."""
+    options: tuple[str, ...] = ()
+    """Options of the command that made the diagnosis, as words of a command line."""
 
     @cached_property
     def corrected(self) -> Corrected | None:
@@ -115,16 +117,20 @@ def diagnose(
     if finding.can_be_verified:
         at_positions = {"seeds": seeds, **of_both} if finding.kind == "positions" else {}
         verification = verify(finding, **at_positions)
-    return diagnosis(finding, verification, cache=cache)
+    return diagnosis(finding, verification, seed=options.get("seed", 0), cache=cache)
 
 
 def diagnosis(
     finding: Finding,
     verification: Verification | None,
     *,
+    seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
 ) -> Diagnosis:
-    """Return the diagnosis of a checked finding; the effect is added unless the check withdraws it."""
+    """Return the diagnosis of a checked finding; the effect is added unless the check withdraws it.
+
+    ``seed`` is that of the random numbers of the calibration at positions.
+    """
     if finding.kind == "states":
         raise DataError(
             "a diagnosis compares a model with one measurement, not with two configurations"
@@ -142,6 +148,7 @@ def diagnosis(
             controls=finding.controls,
             cache=cache,
             position_uncertainty=case.position_uncertainty,
+            seed=seed,
         )
     elif corrected is None:
         calibrated = plain(finding.case)

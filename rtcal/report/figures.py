@@ -271,7 +271,7 @@ def disagreement(comparison: Comparison) -> Any:
         style = {"color": BLUE, "marker": "o", "linestyle": "--", "capsize": 3}
         axes.errorbar(f, off, yerr=error, **style, label="mean")
         axes.set_title(parameter_label(p), fontsize=10)
-    every[0].set_ylabel("run less measurement / JND", fontsize=9)
+    every[0].set_ylabel("deviation / JND", fontsize=9)
     _legend(figure, every[0], 4)
     return figure
 

@@ -614,14 +614,14 @@ def _nothing_missing(f: Finding) -> list[str]:
         return [*off, say(agrees, who=who, lacks=lacks)]
     error = f"the error of the {'program' if f.case.has_run else 'equation'}"
     error = "scattering" if f.kind == "positions" else error
-    _, most = max(map(_largest, f.comparisons))
+    _, most = max(map(largest, f.comparisons))
     suffices = "coefficients suffice"
     if any(c.had_other_coefficients.any() for c in f.comparisons):
         suffices = "other coefficients suffice"
     return [say("differs", who=who, most=most), say(suffices, error=error), *off]
 
 
-def _largest(c: Comparison) -> tuple[float, str]:
+def largest(c: Comparison) -> tuple[float, str]:
     """Return the largest deviation that is noticed, in JND, and its words; 0 where all agrees."""
     each = {p: np.where(c.disagrees[p], off, 0.0) for p, off in c.deviation.items()}
     p = max(each, key=lambda p: np.abs(each[p]).max())

@@ -266,16 +266,25 @@ def blocks(c: Comparison) -> list[Block]:
     return [*map(Note, first), _table(c), *detailed, *map(Note, c.left_out)]
 
 
+def picture(c: Comparison, of: str, alt: str = "") -> Picture:
+    """Return the picture of the deviations ``of`` a model: mean, pairs, and what alpha can explain.
+
+    ``alt`` is for readers who cannot see it, by default the caption.
+    """
+    dots = "Dots are pairs; bars" if c.pairs else "Bars"
+    return Picture(
+        lambda: figures.disagreement(c),
+        f"How far the {of} is from the measurement. {dots} are two standard uncertainties of the "
+        "measurement; orange is what errors of the coefficients can explain (two standard deviations, "
+        "including parameters that follow T); grey is one JND.",
+        alt,
+    )
+
+
 def section(c: Comparison) -> list[Any]:
     """Return the first part of a comparison's page: the answer, the picture, and possible causes."""
-    picture = Picture(
-        lambda: figures.disagreement(c),
-        f"How far the run is from the measurement. {'Dots are pairs; bars' if c.pairs else 'Bars'} "
-        "are two standard uncertainties of the measurement; orange is what errors of the coefficients "
-        "can explain (two standard deviations, including parameters that follow T); grey is one JND.",
-        sentence(c),
-    )
-    return summary(c.blocks(), picture, wide=True)
+    of = "equation" if c.of_equation else "run"
+    return summary(c.blocks(), picture(c, of, sentence(c)), wide=True)
 
 
 def page(c: Comparison) -> Page:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from rtcal.finder.diagnosis import Diagnosis
 from rtcal.loop.positions import PositionsResult
 from rtcal.report import finding_words as words
 from rtcal.report import of_finding, verification_words
-from rtcal.report.document import Code, Heading, Page, Section, coefficients, page_files
+from rtcal.report.document import Code, Heading, Items, Page, Section, coefficients, page_files
 from rtcal.support.blocks import Block, Note
 
 _MET = 0.05
@@ -23,17 +24,18 @@ _MET = 0.05
 
 def steps(result: Diagnosis) -> str:
     """Return the commands that the diagnosis stands for, a line each; of means `apply` calibrates."""
-    given, fitted = shlex.join(result.given), shlex.join(result.given)
-    said = [f"rtcal find {given} --out found"]
+    found = shlex.join([*result.given, *result.options])
+    said = [f"rtcal find {found} --out found"]
     if result.verification is not None:
         said.append("rtcal verify found")
     if result.corrected is not None:
         said.append("rtcal apply found --out corrected")
-        fitted = f"corrected/room.toml {shlex.quote(result.given[-1])}"
     if isinstance(result.calibrated, PositionsResult):
+        room = result.given[0] if result.corrected is None else "corrected/room.toml"
+        fitted = shlex.join([room, *result.given[1:], *result.options])
         said.append(f"rtcal fit {fitted} --out fitted")
     elif result.corrected is None and len(result.given) > 1:
-        said.append(f"rtcal calibrate {given} --out calibrated")
+        said.append(f"rtcal calibrate {shlex.join(result.given)} --out calibrated")
     return "\n".join(said)
 
 
@@ -123,21 +125,22 @@ def blocks(result: Diagnosis) -> list[Block]:
 def page(result: Diagnosis) -> Page:
     """Return the page of a diagnosis: that of its finding, with the effect and the calibration."""
     found = result.calibrated
-    more = [*filter(None, (shrunk(result), added(result), calibrated(result)))]
-    made = of_finding.page(result.finding, result.verification, more=more)
-    said = [*made.blocks]
+    more: list[Any] = [
+        Section("The calibrated model", "calibrated", new_sheet=True),
+        Items([*filter(None, (added(result), calibrated(result), shrunk(result)))]),
+    ]
     if isinstance(found, PositionsResult):
-        said += [
-            Section("The calibrated model", "calibrated", new_sheet=True),
+        more.append(
             coefficients(
                 "Absorption coefficients: input → calibrated, below it the 90 % interval",
                 found.prior,
                 found.alpha,
                 found.interval,
-            ),
-        ]
-    said += [Section("The commands that give the same results", "commands"), Code(steps(result))]
-    return replace(made, subject="where simulation and measurement disagree, and why", blocks=said)
+            )
+        )
+    more += [Section("The commands that give the same results", "commands"), Code(steps(result))]
+    made = of_finding.page(result.finding, result.verification, more=more)
+    return replace(made, subject="where simulation and measurement disagree, and why")
 
 
 def contents(result: Diagnosis, folder: Path, heading: Heading | None = None) -> dict[Path, bytes]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.comparison import compare
+from rtcal.acoustics.comparison import Comparison, compare
 from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import MAX_BYTES, Room
@@ -35,12 +35,11 @@ from rtcal.report.document import (
     Section,
     SideBySide,
     coefficients,
-    notes,
     tables,
 )
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.blocks import lines as lines_of
-from rtcal.support.text import as_sentence, listed
+from rtcal.support.text import as_sentence, listed, sentences
 from rtcal.support.types import Array
 
 _FIGURES = {
@@ -62,27 +61,25 @@ def page(
     verification: Verification | None = None,
     command: str = "",
     place: Place | None = None,
-    more: Sequence[str] = (),
+    more: Sequence[Any] = (),
 ) -> Page:
-    """Return the page of a finding: its printed text with figures and further tables."""
+    """Return the page of a finding: answer, three sentences, a figure, cautions, tables and details.
+
+    ``more`` are blocks before the technical details.
+    """
     if isinstance(result, Verification):
         return page(result.finding, result, command, place, more)
     finding = result
     room, drawn = finding.case.room, pictures(finding, verification, place)
     level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
     level = "open" if level == "agrees" and finding.differs else level
-    answer, *further = words.headline(finding)
-    said = notes(words.blocks(finding, verification))[1:]
+    answer, said, further = _summary(finding, verification)
     if place is not None:
         at = ", ".join(f"{x:.1f}" for x in place.point)
-        said.append(
+        further.append(
             f"To distinguish the surfaces, measure at ({at}) m with source {place.source}, the star in "
             f"the plan: it is worth {place.pairs:.1f} of the {len(finding.pairs)} measured pairs."
         )
-    if finding.undecided is not None:
-        said.append(chosen(finding))
-    elif verification is not None:
-        said.append(words.USE[verification.verdict])
     if finding.kind == "means":
         numbers = _of_means(finding, verification, drawn[1:])
     elif finding.kind == "positions":
@@ -90,28 +87,58 @@ def page(
     else:
         numbers = _of_states(finding, drawn[1:])
     blocks = [
-        *_of_run(finding),
-        Section("The finding", "finding"),
-        Box(level, answer, further),
-        SideBySide([[Items([*said, *more])], drawn[:1]]),
+        Box(level, answer),
+        SideBySide([[Items(said)], drawn[:1]], "summary"),
+        *([Section("Cautions and next steps", "cautions"), Items(further)] if further else []),
+        *_of_run(finding, drawn=finding.kind == "means" and verification is None),
         *numbers,
+        *more,
         *_reproduced(finding, command),
     ]
     return Page(room.name, room.author, _SUBJECTS[finding.kind], blocks)
 
 
-def _of_run(finding: Finding) -> list[Any]:
-    """Return where a program's run and the measurement disagree; nothing without a run."""
+def _summary(
+    finding: Finding, verification: Verification | None
+) -> tuple[str, list[str], list[str]]:
+    """Return the answer, at most three sentences after it, and what stands below the figure.
+
+    The three are what follows the answer, what the verification gave, and what to do next.
+    """
+    answer, *rest = sentences(" ".join(words.headline(finding)))
+    checked, use = list[str](), ""
+    if verification is not None:
+        checked = sentences(verification.sentence)
+        use = words.USE[verification.verdict] if finding.undecided is None else ""
+    step = words.first_step(finding, verification) or use
+    first, *then = sentences(step) or [""]
+    said = [*rest[:1], *checked[:1], *([f"Next: {first}"] if step else [])]
+    further = [*rest[1:], *words.cautions(finding), " ".join(checked[1:]), *words.noted(finding)]
+    further += [chosen(finding), use if use != step else "", step if then else ""]
+    return answer, said, [*filter(None, further)]
+
+
+def _of_run(finding: Finding, drawn: bool) -> list[Any]:
+    """Return where a program's run and the measurement disagree, if not ``drawn`` with its picture.
+
+    Returns nothing without a run.
+    """
+    if (compared := _compared(finding)) is None:
+        return []
+    section = of_comparison.section(compared)
+    said = [block for block in section if not (drawn and isinstance(block, Picture))]
+    return [Section("Where run and measurement disagree", "disagreement"), *said]
+
+
+def _compared(finding: Finding) -> Comparison | None:
+    """Return a program's run compared with the measurement, of the first configuration with a run."""
     case = finding.case
     if finding.kind == "states" or not case.has_run:
-        return []
+        return None
     if finding.kind == "positions":
-        run, measured = Run(case.room, case.simulated), case.in_room
-    else:
-        first = next(c for c in case.configurations if c.simulated is not None)
-        run, measured = first.simulated, first.measured
-    title = Section("Where run and measurement disagree", "disagreement")
-    return [title, *of_comparison.section(compare(case.room, measured, run))]
+        return compare(case.room, case.in_room, Run(case.room, case.simulated))
+    first = next(c for c in case.configurations if c.simulated is not None)
+    return compare(case.room, first.measured, first.simulated)
 
 
 def chosen(finding: Finding, found: str = "FOUND") -> str:
@@ -135,6 +162,7 @@ def _of_means(
         SideBySide([[picture] for picture in drawn]),
         Section("The evidence in numbers", "evidence"),
         *tables([words.candidates(finding, least=0.0)]),
+        Items(words.details(finding)),
         *words.deviations(finding, finding.residuals),
         *([] if after is None else words.deviations(finding, after, with_it)),
     ]
@@ -157,6 +185,7 @@ def _at_positions(
     return [
         *room_view.of_finding(finding, verification, place),
         *tables([words.candidates(finding)]),
+        Items(words.details(finding)),
         Section("Where the model disagrees", "map"),
         *drawn,
         *_disagreement(finding),
@@ -190,6 +219,7 @@ def _of_states(finding: Finding, drawn: list[Picture]) -> list[Any]:
     ]
     return [
         *tables([words.candidates(finding)]),
+        Items(words.details(finding)),
         Table(["Probability that it changed / %", ""], rows, "On which surface", "Surface"),
         Section("By band", "bands"),
         *drawn,
@@ -241,7 +271,10 @@ def pictures(
         )
         return [*drawn, plan]
     if verification is None:
-        return []
+        if (compared := _compared(finding)) is not None:
+            return [of_comparison.picture(compared, "run")]
+        most = sorted(finding.comparisons, key=words.largest, reverse=True)
+        return [of_comparison.picture(c, "model") for c in most[:1]]
     return [
         *drawn,
         Picture(
@@ -275,8 +308,11 @@ def _bars(verification: Verification) -> Picture:
 
 
 def _reproduced(finding: Finding, command: str) -> list[Any]:
-    """Return the command that searched, or the case of a saved finding by means; what was assumed."""
-    said: list[Any] = [Code(command)]
+    """Return the odds, how often such findings were right, what was assumed, and how to repeat it.
+
+    A search is repeated by its command; one by means without a command, by its case.
+    """
+    said: list[Any] = [Code(command)] if command else []
     if finding.kind == "states":
         n = len(finding.case.pairs)
         assumed = (
@@ -284,17 +320,20 @@ def _reproduced(finding: Finding, command: str) -> list[Any]:
             "are assumed to be measured at the same positions with the same equipment. The first one "
             "calibrates the model, so the input coefficients have no influence."
         )
-        said = [Note(assumed), *said[: bool(command)]]
-    elif not command:
-        if finding.kind != "means" or len(case := finding.case.to_json().encode()) > MAX_BYTES:
-            return []
+        said = [Note(assumed), *said]
+    elif (
+        finding.kind == "means"
+        and not command
+        and len(case := finding.case.to_json().encode()) <= MAX_BYTES
+    ):
         files = (
             ", which holds the room and every measurement, and run with the options of the search:"
         )
         said = [Files({"case.json": case}, files), Code("rtcal find case.json")]
     engines = () if finding.discrepancy is None else finding.discrepancy.engines
     rooms = [Note(f"Reference simulations: {listed(engines)}.", kind="keep")] if engines else []
-    return [Section("Technical details", "details"), *rooms, *said]
+    grounds = [*filter(None, (words.evidence(finding), words.track_record(finding)))]
+    return [Section("Technical details", "details"), Items(grounds), *rooms, *said]
 
 
 INSTRUCTIONS = "instructions.txt"

@@ -197,6 +197,17 @@ def as_sentence(words: str) -> str:
     return words[:1].upper() + words[1:].rstrip(".") + "."
 
 
+def sentences(text: str) -> list[str]:
+    """Return the sentences of a text; a full stop within quotes ends none.
+
+    Examples
+    --------
+    >>> sentences('Look for the effect on "St. Anne". If it is not there, measure T.')
+    ['Look for the effect on "St. Anne".', 'If it is not there, measure T.']
+    """
+    return [*filter(None, re.split(r'(?<=\.) (?=["`A-Z])(?=(?:[^"]*"[^"]*")*[^"]*$)', text))]
+
+
 def first_of(names: Sequence[str], most: int) -> str:
     """Return names as `listed` does, ``most`` at most, and how many more there are.
 
