@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.diagnosis import Diagnosis
 from rtcal.finder.means.recalibration import plain
 from rtcal.loop.positions import PositionsResult
 from rtcal.report.of_diagnosis import contents, steps
@@ -33,6 +35,20 @@ def test_it_is_what_the_single_steps_give(named):
     assert [line.split()[1] for line in steps(named).splitlines()] == ["find", "verify", "apply"]
     assert np.array_equal(named.calibrated.alpha, verified.corrected.alpha)
     assert np.array_equal(named.room.alpha[: len(named.calibrated.alpha)], named.calibrated.alpha)
+
+
+def test_its_commands_carry_the_options_that_were_given():
+    options = ("--match", "t20", "--scattering", "0.2", "--paths", "2000", "--seed", "1")
+    fitted = Diagnosis(
+        finding=SimpleNamespace(can_be_added=False),
+        verification=None,
+        calibrated=object.__new__(PositionsResult),
+        given=("room.toml", "pairs.csv"),
+        options=options,
+    )
+    assert [line.split(" --out ")[0] for line in steps(fitted).splitlines()] == [
+        f"rtcal {command} room.toml pairs.csv {' '.join(options)}" for command in ("find", "fit")
+    ]
 
 
 def test_saved_it_prints_the_same(named, tmp_path):

@@ -11,12 +11,15 @@ import pytest
 from rtcal.files.disk import write_all
 from rtcal.finder import verification
 from rtcal.finder.claim import Detection
+from rtcal.finder.evidence import probability_off
 from rtcal.finder.finding import Finding
 from rtcal.finder.positions.places import Place
 from rtcal.finder.verification import Verification
 from rtcal.loop.measured_pairs import ControlRuns
+from rtcal.report import finding_words as words
 from rtcal.report import of_finding, verification_words
 from rtcal.report.document import page_files
+from rtcal.support.text import sentences
 from tests.conftest import measurement_of
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 
@@ -134,6 +137,42 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven():
     result = verification_of(PAIRS, means, 0.001, change)
     assert (result.by_seed[2] < result.by_seed[1]).all()
     assert result.verdict == "unproven"
+
+
+@pytest.mark.parametrize("score", [0.8, 1.4])
+def test_a_hint_says_how_prior_and_odds_give_the_probability_of_nothing(finding, score):
+    before = (1 - probability_off(finding.case.room)) / 3
+    alone = before / (before + (1 - before) * np.exp(score))
+
+    def said(nothing):
+        shares = {"none": nothing, "porous": 1 - nothing}
+        detection = Detection(score, 2.5, means=-1.0)
+        hint = replace(finding, verdict="hint", probabilities=shares, detection=detection)
+        return words.evidence(hint)
+
+    begin = (
+        f"Before the measurement, the probability that nothing is missing was {before:.0%}".replace(
+            "%", " %"
+        )
+    )
+    assert f"{begin}; with these odds it is {words.percent(alone)}." in said(alone)
+    other = f"{begin}; these odds alone would make it {words.percent(alone)}. It is 50 %, because"
+    assert other in said(0.5)
+    assert "Before the measurement" not in words.evidence(finding)
+
+
+def test_the_page_has_three_sentences_between_answer_and_figure(finding):
+    gaps = {"before": 3.0, "plain": 2.0, "corrected": 1.99}
+    page = of_finding.page(finding, verification_of(finding, gaps, 1.0), "", PLACE)
+    box, beside, title, cautions, *_, details, grounds = page.blocks
+    said, (figure, *_) = beside.parts
+    assert sentences(box.lead) == [box.lead]
+    assert [len(sentences(text)) for text in said[0].texts] == [1, 1, 1]
+    assert figure.name == "gap"
+    assert title.name == "cautions"
+    assert "A note." in cautions.texts
+    assert details.name == "details"
+    assert "In the mean over all effects" in grounds.texts[0]
 
 
 def test_the_page_begins_with_the_answer_and_the_bars(finding, tmp_path):

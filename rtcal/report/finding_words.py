@@ -34,7 +34,7 @@ from rtcal.finder.claim import (
     over_frequency,
 )
 from rtcal.finder.effects import IN_RUN, library
-from rtcal.finder.evidence import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.evidence import COEFFICIENTS, NO_EFFECT, NONE, UNKNOWN, probability_off
 from rtcal.finder.finding import Finding, feature_names
 from rtcal.finder.means.planning import Plan
 from rtcal.finder.means.recalibration import Recalibrated
@@ -311,6 +311,10 @@ SENTENCES: dict[str, str] = {
     "identified in its place.",
     "evidence": "In the mean over all effects, the data{of} give {given} that {which}. A detection "
     'requires {required}. The verdict in the files is "{verdict}"{meaning}.',
+    "before": "Before the measurement, the probability that nothing {what} was {before:p}; with "
+    "these odds it is {after:p}.",
+    "before, not alone": "Before the measurement, the probability that nothing {what} was "
+    "{before:p}; these odds alone would make it {alone:p}. It is {after:p}, because {why}.",
     "program errs": "The program is assumed to err as much as the reference simulations do, in "
     "addition to the errors of the model.",
     "noisy value": "A single noisy value is the better explanation (odds of {nats:odds}).",
@@ -924,14 +928,44 @@ def evidence(f: Finding) -> str:
     elif part.score < 0:  # odds below 1 are read more easily the other way round
         which, required = f"nothing {what}", f"{required} that something {what}"
     stated = {"verdict": f.verdict, "meaning": _VERDICTS.get(f.verdict, ""), "required": required}
-    said = [say("evidence", of=of, given=given, which=which, **stated)]
+    said = [say("evidence", of=of, given=given, which=which, **stated), _from_prior(f)]
     if f.kind == "positions" and f.case.has_run:
         said.append(say("program errs"))
     if found.verdict is not None and found.noise is not None and found.noise > 0:
         said.append(say("noisy value", nats=found.noise))
     if found.means is not None:
         said.append(say("by means", nats=found.means, what=what))
-    return " ".join(said)
+    return " ".join(filter(None, said))
+
+
+def _from_prior(f: Finding) -> str:
+    """Return how prior and odds give the probability of nothing beside which a hint is printed."""
+    after = f.probabilities.get(NONE, 0.0)
+    if f.verdict != "hint" or f.more_than_one or after < _NOTHING:
+        return ""
+    before = NO_EFFECT
+    if f.kind == "positions" and COEFFICIENTS not in f.left_out:
+        before *= 1 - probability_off(f.case.room)
+    elif f.kind == "means":
+        before = float(np.exp(f.prior.log_probability[NONE]))
+    alone = before / (before + (1 - before) * np.exp(f.score))
+    values = {"what": _missing(f), "before": before, "alone": alone, "after": after}
+    if percent(alone) == percent(after):
+        return say("before", **values)
+    return say("before, not alone", why=_why_not_alone(f), **values)
+
+
+def _why_not_alone(f: Finding) -> str:
+    """Return why the probability of nothing is not what prior and odds alone would make it."""
+    if f.kind == "positions":
+        too = "" if f.detection.means is None else " and those of means over positions too"
+        return f"probabilities count deviations at single positions less{too}"
+    if f.kind == "means" and f.case.program:
+        return "the odds count an uneven sound field as nothing missing"
+    return (
+        "probabilities favour the most probable explanation the more, the better the coefficients are "
+        "known"
+    )
 
 
 # How often such findings were right.
