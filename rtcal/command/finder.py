@@ -548,7 +548,7 @@ def apply(args: Namespace) -> None:
 def diagnose(args: Namespace) -> None:
     """Find what is missing from a room's model, verify it, add it and calibrate the model.
 
-    It does what `rtcal find`, `verify`, `apply` and `fit` do with their defaults, and prints these
+    It does what `rtcal find`, `verify`, `apply` and `fit` do with these options, and prints the
     commands. An effect with a probability below 0.3, or whose verification has the verdict "withdrawn",
     is not added: the model is then calibrated as given, and the text says so.
 

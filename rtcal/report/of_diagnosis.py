@@ -39,6 +39,16 @@ def steps(result: Diagnosis) -> str:
     return "\n".join(said)
 
 
+def as_steps(result: Diagnosis) -> str:
+    """Return the sentence before the commands: a fit draws other reference simulations than `find`."""
+    if isinstance(result.calibrated, PositionsResult):
+        return (
+            "These commands do the same step by step; `rtcal fit` makes reference simulations of its "
+            "own, so its result may differ:"
+        )
+    return "These commands give the same results step by step:"
+
+
 def added(result: Diagnosis) -> str:
     """Return a sentence on the effect that was added to the model, or the reason why none was."""
     finding, corrected = result.finding, result.corrected
@@ -112,7 +122,7 @@ def blocks(result: Diagnosis) -> list[Block]:
     rests_on = [
         words.evidence(finding),
         words.track_record(finding),
-        "These commands give the same results step by step:",
+        as_steps(result),
     ]
     return [
         *map(Note, filter(None, said)),
@@ -138,7 +148,11 @@ def page(result: Diagnosis) -> Page:
                 found.interval,
             )
         )
-    more += [Section("The commands that give the same results", "commands"), Code(steps(result))]
+    more += [
+        Section("The same in single commands", "commands"),
+        Note(as_steps(result), kind="keep"),
+        Code(steps(result)),
+    ]
     made = of_finding.page(result.finding, result.verification, more=more)
     return replace(made, subject="where simulation and measurement disagree, and why")
 
