@@ -560,8 +560,8 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
             "open",
             "Too good to be true: the measured T is nearer to T with the input coefficients than the "
             "uncertainties of both allow",
-            f"{less} Either a sigma or the uncertainty of T is too large, or the measured T was "
-            "calculated from these coefficients.",
+            f"{less} Either a sigma or the uncertainty of T is too large, or T was calculated from "
+            "these coefficients, or `rtcal apply` added what this T needs.",
         )
     if agreed == "contradicts" or p < P_CONTRADICTION:
         against, longer = agreed == "contradicts", _longer(record)
