@@ -424,7 +424,7 @@ def _with_scene(room: Room, model: Mended, args: Namespace) -> Room:
             return room
         as_it_is = all(d.kind == "gap" for d in model.defects) and not model.geometry.leaks
         if as_it_is and Path(mesh).suffix.lower() == ".obj":
-            unit = args.unit or in_comments(read_bytes(mesh, MAX_BYTES)) or 1.0
+            unit = args.unit or in_comments(read_bytes(mesh, MAX_BYTES), mesh) or 1.0
             return room.replace(scene=Scene(mesh=mesh, unit=unit))
         beside = Path(args.out).with_suffix(".obj")
         if beside.resolve() == Path(mesh).resolve():
