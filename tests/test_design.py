@@ -160,7 +160,7 @@ def test_what_can_be_had_is_said_where_nothing_will_do():
         (lambda: Treatment("x", PANEL, 4, cost=-1), "cost = -1"),
         (lambda: Target([0.8], [0.4]), "must be below"),
         (lambda: Target([np.nan], [np.nan]), "every low and high is missing"),
-        (lambda: Target([0.4], [100.5]), "high = 100.5 s"),
+        (lambda: Target([0.4], [100.5]), r"high\[0\] = 100.5 s"),
         (
             lambda: design(known(), [Treatment("x", PANEL, 2201, cost=1)], TARGET),
             'treatment "x": largest: area = 2201 m² is too large',

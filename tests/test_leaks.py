@@ -113,7 +113,7 @@ def test_closed_stays_the_default_and_large_holes_are_refused(tmp_path):
     large = geometry_files.path_tracing(room(tmp_path, 1.0, leaks=True), n_paths=800)
     with pytest.raises(DataError, match="at most 2 % may"):
         large.simulate(large.room.alpha)
-    with pytest.raises(DataError, match="leaks = true can be given only with a mesh"):
+    with pytest.raises(DataError, match="leaks = True is of a mesh, but no mesh is given"):
         rt.Scene(leaks=True)
 
 

@@ -61,9 +61,9 @@ def test_lse_leaves_alone_what_is_known_exactly():
     ("changes", "message"),
     [
         ({"standard_deviation": {"t20": [0.1, 0.1]}}, "needs the numbers of sources and receivers"),
-        ({"n_sources": 0, "n_receivers": 1}, "sources = 0 must be a whole number above 0"),
+        ({"n_sources": 0, "n_receivers": 1}, "sources = 0 must be a whole number of at least 1"),
         ({"pairs": [("S", "R")], "n_sources": 2}, "are allowed only in a summary"),
-        ({"pairs": [("S", "R", "x")]}, r"give each pair as \(source, receiver\)"),
+        ({"pairs": [("S", "R", "x")]}, r"give each pair as \[source, receiver\]"),
         ({"pairs": [("#S", "R")]}, "which begins a comment"),
         ({"pairs": [("S\n", "R")]}, "a name must not have control characters"),
         ({"values": {"t20": [["a", "b"]]}}, r"values\[t20\]"),

@@ -39,7 +39,7 @@ def test_an_uncertainty_above_the_value_is_refused(name, parameter, value):
     m = measured()
     shape = (4, 6) if name == "uncertainty" else (6,)
     stated = replace(m, **{name: {parameter: np.full(shape, value)}})
-    said = rf"{name}\[{parameter}, 125 Hz\] = .* is too large for an uncertainty of "
+    said = rf"{name}\[{parameter}, 125 Hz\] = .* must be at most .* Check that it is not in percent"
     with pytest.raises(DataError, match=said):
         Configuration(name="measured", measured=stated)
     with pytest.raises(DataError, match=said):

@@ -366,11 +366,16 @@ class Measurement:
             for parameter, stated in getattr(self, name).items():
                 kind = observable(parameter)
                 most = kind.largest_uncertainty(self.values[parameter])
+
+                def rule(*at: int, most: Array = most, unit: str = kind.unit) -> str:
+                    limit = f"{most[at]:g} {unit}".rstrip()
+                    return f"at most {limit} there. Check that it is not in percent"
+
                 checks.entries(
                     partial(self._place, name, parameter),
                     np.broadcast_to(stated, most.shape),
                     ~(stated > most),
-                    f"a possible uncertainty of {kind.label}. Check that it is not in percent",
+                    rule,
                     kind.unit,
                 )
 

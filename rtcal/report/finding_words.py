@@ -239,8 +239,11 @@ SENTENCES: dict[str, str] = {
     "bands or band by band (odds of {nats:odds}), and is weighted accordingly. If its "
     'reference is uncertain, name it "level".',
     "lobes": "Directional sources explain the measurement better than anything that may be missing "
-    "from the room (odds of {nats:odds}), and are weighted by their probability. Enter their "
-    "[directivity]; an omnidirectional source has the index 0.",
+    "from the room (odds of {nats:odds}), so the sources are not taken as omnidirectional. Enter "
+    "their [directivity]; an omnidirectional source has the index 0.",
+    "lobes possible": "Directional sources may explain the measurement better than anything that may "
+    "be missing from the room (odds of {nats:odds}), and are weighted by their probability. Enter "
+    "their [directivity]; an omnidirectional source has the index 0.",
     "index off": "Other directivities explain the measurement better than anything that may be missing "
     "from the room (odds of {nats:odds}), so the directivity index of {sources:few} is not "
     "relied on. Enter measured balloons to use all parameters.",

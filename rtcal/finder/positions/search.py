@@ -479,7 +479,8 @@ def find_by_positions(
         code = "index off" if aimed > LIKELY_INDEX else "nothing explains the level"
         notes.append(Reason(code, {"nats": aimed, "sources": indexed}))
     elif aimed > -np.log(AIMED):
-        notes.append(Reason("lobes", {"nats": aimed}))
+        code = "lobes" if aimed > LIKELY_LOBES else "lobes possible"
+        notes.append(Reason(code, {"nats": aimed}))
     said = finding.effect or finding.family
     if means is not None and said is None and (name := means.effect or means.family) is not None:
         # What means over positions identify where positions do not.
