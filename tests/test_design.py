@@ -1,5 +1,6 @@
 """Designing to a target: the cheapest, beside exhaustive search; laws; what is refused."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -121,6 +122,12 @@ def test_the_probability_is_that_of_the_prediction_of_the_same_changes():
         assert made.probability(target.low, target.high) == pytest.approx(
             found.probability, abs=1e-9
         )
+    # Whole numbers are areas as others are, and a design that has predicted goes to another process.
+    whole = np.full(len(every), 2)
+    expected = found.model.probability(whole.astype(float))
+    assert np.array_equal(found.model.probability(whole), expected)
+    again = pickle.loads(pickle.dumps(found)).model
+    assert np.array_equal(again.probability(whole), expected)
 
 
 @pytest.mark.usefixtures("few_draws")

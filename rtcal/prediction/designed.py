@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -312,14 +312,23 @@ class DesignModel:
         )
 
     @cached_property
-    def _of_areas(self) -> Callable[[bytes], Prediction]:
-        """Function that returns the prediction of areas by their bytes; it keeps the last ones."""
-        return lru_cache(_MOST_PREDICTIONS)(lambda areas: self.prediction(np.frombuffer(areas)))
+    def _kept(self) -> dict[bytes, Prediction]:
+        """The last predictions, by the bytes of their areas; they go with the model."""
+        return {}
+
+    def _known(self, x: Array) -> Prediction:
+        """Return the prediction of areas, made once."""
+        key = x.tobytes()
+        if key not in self._kept:
+            if len(self._kept) == _MOST_PREDICTIONS:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = self.prediction(x)
+        return self._kept[key]
 
     def probability(self, x: Array, target: Target | None = None) -> Array:
         """Return the probability that T is within its range, (n_bands,), for given areas in m²."""
         target = target or self.target
-        return self._of_areas(x.tobytes()).probability(target.low, target.high)
+        return self._known(x).probability(target.low, target.high)
 
     def margins(self, probability: float) -> Margins:
         """Return the function that returns ndtri(P) - ndtri(probability) of the bands with a range."""
@@ -328,7 +337,7 @@ class DesignModel:
 
         def of(x: Array) -> Array:
             found = self.probability(x)[bounded]
-            made = self._of_areas(x.tobytes())
+            made = self._known(x)
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
             ends = np.fmin(high - mean, mean - low) / np.maximum(sigma, 1e-9)
@@ -345,6 +354,11 @@ class DesignModel:
         places = range(len(self.treatments))
         return np.array(sorted(places, key=lambda j: _what(self.treatments[j])), dtype=np.int64)
 
+    @cached_property
+    def _places(self) -> NDArray[np.int64]:
+        """Place of each treatment in `_order`."""
+        return np.argsort(self._order)
+
     def _choice(self, margins: Margins) -> Choice:
         """Return what may be placed, in `_order`, and what it must keep."""
         (covers, surfaces), order = self.covering, self._order
@@ -355,18 +369,18 @@ class DesignModel:
             unit=units[order],
             covers=covers[:, order],
             surfaces=surfaces,
-            margins=lambda x: margins(x[np.argsort(order)]),
+            margins=lambda x: margins(x[self._places]),
         )
 
     def cheapest(self, probability: float) -> Array | None:
         """Return the cheapest areas in m², (n_treatments,), in whole panels; None if none is enough."""
         found = self._choice(self.margins(probability)).cheapest()
-        return None if found is None else found[np.argsort(self._order)]
+        return None if found is None else found[self._places]
 
     def _widest(self, margins: Margins) -> Array:
         """Return the areas in m² whose least margin is largest. Panels need not be whole."""
         choice = self._choice(margins)
-        return np.asarray((choice.widest()[0] * choice.size)[np.argsort(self._order)])
+        return np.asarray((choice.widest()[0] * choice.size)[self._places])
 
     @cached_property
     def most_probable(self) -> Array:
@@ -383,7 +397,7 @@ class DesignModel:
 
         def spare(x: Array) -> Array:
             """Return the distance by which ln T keeps the nearer end."""
-            made = self._of_areas(x.tobytes())
+            made = self._known(x)
             mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             return np.asarray(np.fmin(high - mean, mean - low) - ndtri(probability) * sigma)
 
