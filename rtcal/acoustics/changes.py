@@ -1065,10 +1065,10 @@ def facing(room: Room, geometry: Any = None) -> Array:
     if box is not None:
         along = _matched(areas, along, box)
     else:  # with the named floor or ceiling, as both; the other surfaces are its walls
-        of_kind = [
-            [s.area for s, k in zip(surfaces, kinds, strict=True) if k == kind] for kind in ways
-        ]
-        one = max(map(sum, of_kind[:2]))
+        one = max(
+            sum(s.area for s, k in zip(surfaces, kinds, strict=True) if k == kind)
+            for kind in (FLOOR, CEILING)
+        )
         if 0 < 2 * one < (total := sum(areas.tolist())):
             box = np.array([total / 2 - one, total / 2 - one, 2 * one])
     if box is not None:

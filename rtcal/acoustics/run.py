@@ -22,7 +22,7 @@ from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.text import first_of, listed
-from rtcal.support.types import Array
+from rtcal.support.types import Array, put
 
 Lacking = Literal["run", "measurement", "reference"]
 Flags: TypeAlias = NDArray[np.bool_]
@@ -63,7 +63,7 @@ class Run:
         checks.instance("simulated", self.simulated, Measurement)
         own = self.simulated.centre_frequencies
         try:
-            object.__setattr__(self, "simulated", self.simulated.in_bands(frequencies))
+            put(self, simulated=self.simulated.in_bands(frequencies))
         except DataError as error:
             raise DataError(f"simulated: {error}") from error
         if notes := bands.notes(own, frequencies, "the run"):

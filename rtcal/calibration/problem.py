@@ -63,7 +63,7 @@ from rtcal.support.errors import (
     SolverError,
 )
 from rtcal.support.text import as_sentence
-from rtcal.support.types import Array
+from rtcal.support.types import Array, put
 
 Times = Measurement | Sequence[float] | Array
 R = TypeVar("R", CalibrationResult, JointResult)
@@ -136,8 +136,7 @@ class Calibration:
                     f"{term!r} has weight 0; give a weight above 0, because without this term "
                     "the answer is not unique"
                 )
-        object.__setattr__(self, "objective", objective)
-        object.__setattr__(self, "constraints", constraints)
+        put(self, objective=objective, constraints=constraints)
 
     @overload
     def build(

@@ -36,7 +36,7 @@ from rtcal.calibration.unknowns import Integers, Layout, Numbers, cp
 from rtcal.calibration.unknowns import Observed as Observed
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, put
 
 __all__ = [
     "AddedAbsorption",
@@ -350,7 +350,7 @@ class PriorDeviation(Term):
             raise ModelError(
                 f"band_correlation {self.band_correlation:g} must be from 0 to below 1"
             )
-        object.__setattr__(self, "material_correlation", _pairs(self.material_correlation))
+        put(self, material_correlation=_pairs(self.material_correlation))
 
     @property
     def correlated(self) -> bool:
@@ -721,7 +721,7 @@ class BandSmoothness(Term):
     material_correlation: Any = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "material_correlation", _pairs(self.material_correlation))
+        put(self, material_correlation=_pairs(self.material_correlation))
 
     def __call__(self, m: Model) -> Any:
         """½ |differences|²; coefficients with sigma = 0 stand apart."""
@@ -778,7 +778,7 @@ class AddedAbsorption(Term):
         if gain.ndim not in (1, 2) or not np.isfinite(gain).all():
             raise DataError(f"{own}: gain must be one finite number per band")
         frozen: Any = tuple(map(tuple, np.atleast_2d(gain).tolist()))
-        object.__setattr__(self, "gain", frozen)
+        put(self, gain=frozen)
 
     def __call__(self, m: Model) -> Any:
         """½ ((theta - mean) / sigma)²."""
@@ -866,7 +866,7 @@ class Shared:
     def __init__(self, *materials: str) -> None:
         if len(set(checks.texts("Shared: material", materials))) < 2:
             raise DataError("Shared needs at least two different materials")
-        object.__setattr__(self, "materials", materials)
+        put(self, materials=materials)
 
 
 @dataclass(frozen=True)
@@ -937,7 +937,7 @@ class GroupAbsorption:
 
     def __post_init__(self) -> None:
         materials = checks.texts("GroupAbsorption: materials", self.materials)
-        object.__setattr__(self, "materials", materials)
+        put(self, materials=materials)
         given = [
             checks.number(f"GroupAbsorption: {name}", v)
             for name, v in (("least", self.least), ("most", self.most))

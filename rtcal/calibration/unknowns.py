@@ -26,7 +26,7 @@ from rtcal.prediction.changed_time import refuse_other_priors
 from rtcal.support import checks, deferred
 from rtcal.support.errors import DataError
 from rtcal.support.text import shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 
 Integers = NDArray[np.intp]
 Flags = NDArray[np.bool_]
@@ -106,8 +106,7 @@ class Configurations:
             raise DataError(
                 f"names = {names} has a name twice; give each configuration a name of its own"
             )
-        object.__setattr__(self, "rooms", rooms)
-        object.__setattr__(self, "names", names)
+        put(self, rooms=rooms, names=names)
         if len(rooms) > 1:
             refuse_other_priors(rooms, [f'configuration "{name}"' for name in names])
             self._compare_priors()
@@ -375,7 +374,7 @@ class Observed:
             array = checks.shaped(f"observed {name}", getattr(self, name), *shape)
             if not np.isfinite(array).all():
                 raise DataError(f"observed {name} has a number that is not finite")
-            object.__setattr__(self, name, array)
+            put(self, **{name: array})
         # Beside the diagonal: a covariance near 0 may be the rounding of a difference.
         sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         if (np.abs(self.covariance - self.covariance.T) > 1e-9 * np.outer(sigma, sigma)).any():
@@ -384,7 +383,7 @@ class Observed:
             factor = np.linalg.cholesky(self.covariance)
         except np.linalg.LinAlgError as error:
             raise DataError("observed covariance is not positive definite") from error
-        object.__setattr__(self, "factor", read_only(factor))
+        put(self, factor=read_only(factor))
 
     def __repr__(self) -> str:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"

@@ -373,11 +373,10 @@ def kind_of(path: str | os.PathLike[str]) -> str:
             return TABLE if b"xl/workbook" in content else ""
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1")
         is_json = text.lstrip()[:1] == "{"
-        with suppress(DataError):
-            if not is_json and len(text) > _MOST_OF_TOML:
-                raise DataError("too large for TOML")
-            held = (json_object if is_json else toml_table)(text.replace("\r\n", "\n"))
-            return next((kind for key, (kind, _) in _HOLDS.items() if key in held), "")
+        if is_json or len(text) <= _MOST_OF_TOML:
+            with suppress(DataError):
+                held = (json_object if is_json else toml_table)(text.replace("\r\n", "\n"))
+                return next((kind for key, (kind, _) in _HOLDS.items() if key in held), "")
         first = [line for line in text.splitlines() if line.strip() and line.strip()[0] != "#"][:2]
         cells = [line for line in first if re.search(r"[,;\t]", line) and not _NO_TABLE.match(line)]
         return TABLE if len(cells) == 2 and "\0" not in text else ""

@@ -36,10 +36,10 @@ from __future__ import annotations
 import json
 import os
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeAlias
@@ -79,7 +79,7 @@ from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.text import as_sentence, first_of, shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 
 GEOMETRICAL = "geometrical"
 """Kind of a program that traces rays or image sources, as the field ``program`` of a case has it."""
@@ -175,7 +175,7 @@ class ChangedMaterial:
             # `Configuration.in_room`: 1, of a wall
             if not array.size or not ((array >= 0) & (array <= LARGEST_PIECE)).all():
                 raise DataError(f"change: {name} must be an array (n_bands,) of values from 0 to 1")
-            object.__setattr__(self, name, array)
+            put(self, **{name: array})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -215,7 +215,7 @@ class Configuration:
         for material, change in changes.items():
             text_name(f"{where}: changes: material", material)
             checks.instance(f"{where}: changes[{material!r}]", change, ChangedMaterial)
-        object.__setattr__(self, "changes", changes)
+        put(self, changes=changes)
         for name in ("suspect_removed", "planned"):
             checks.flag(f"{where}: {name}", getattr(self, name))
         for name, kind in (("air", Air), ("simulated", Run)):
@@ -226,7 +226,7 @@ class Configuration:
             distances = checks.array(f"{where}: distances", self.distances)
             if distances.shape != (n,) or not ((distances > 0) & np.isfinite(distances)).all():
                 raise DataError(f"{where}: distances must be {n} values above 0, one per pair")
-            object.__setattr__(self, "distances", read_only(distances))
+            put(self, distances=read_only(distances))
 
     def coefficients(self, room: Room) -> tuple[Array, Array]:
         """Return the room's alpha and its sigma in this configuration, (n_materials, n_bands) each."""
@@ -435,20 +435,20 @@ class Case:
             every = checks.listed(name, getattr(self, name))
             for i, member in enumerate(every):
                 checks.instance(f"{name}[{i}]", member, kind)
-            object.__setattr__(self, name, every)
+            put(self, **{name: every})
         if not self.configurations:
             raise DataError("configurations is empty; a case must have at least one measurement")
         names = [c.name for c in self.configurations]
         if len(set(names)) < len(names):
             raise DataError(f"configurations = {names}: give each configuration a name of its own")
-        object.__setattr__(self, "facing", read_only(_checked_facing(self.room, self.facing)))
+        put(self, facing=read_only(_checked_facing(self.room, self.facing)))
         climate = _checked_climate_uncertainty(self.climate_uncertainty)
-        object.__setattr__(self, "climate_uncertainty", climate)
+        put(self, climate_uncertainty=climate)
         _check_size(self.room)
         for added in self.applied:
             check_parameters(added.effect, added.parameters, self.room, added.size_interval)
         configurations = tuple(c.in_room(self.room) for c in self.configurations)
-        object.__setattr__(self, "configurations", configurations)
+        put(self, configurations=configurations)
         if checks.text("program", self.program) not in ("", GEOMETRICAL):
             raise DataError(f'program = {checks.shown(self.program)} must be "{GEOMETRICAL}"')
         if self.program and not self.has_run:
@@ -662,25 +662,24 @@ class PositionsCase:
         checks.instance("simulator", self.simulator, PathTracing)
         checks.instance("measured", self.measured, Measurement)
         checked_uncertainty(self.position_uncertainty)
-        put = partial(object.__setattr__, self)
         both = [m for m in (self.measured, self.simulated) if isinstance(m, Measurement)]
-        put("match", self.simulator.trusted(with_t30(self.match, *both)))
-        put("exclude", checks.pairs("exclude", self.exclude))
+        put(self, match=self.simulator.trusted(with_t30(self.match, *both)))
+        put(self, exclude=checks.pairs("exclude", self.exclude))
         repeated: tuple[str, ...] = ()
         for name in ("simulated", "measured"):
             if (values := getattr(self, name)) is None:
                 continue
             values, repeated = at_places(self.simulator, checks.instance(name, values, Measurement))
-            put(name, values)
+            put(self, **{name: values})
             if values.is_summary:
                 raise DataError(
                     f"{name} has means over pairs; a search by positions needs values of each pair. "
                     "Search without the geometry: it shows what is missing, but not where"
                 )
         refuse_unknown(self.exclude, self.measured)
-        absent = () if self.simulated is None else self._leave_out(self.simulated, put)
+        absent = () if self.simulated is None else self._leave_out(self.simulated)
         notes = (*checks.listed("notes", self.notes), *repeated, *absent)
-        put("notes", tuple(dict.fromkeys(notes)))
+        put(self, notes=tuple(dict.fromkeys(notes)))
         if history(self.room):
             raise DataError(
                 f'room "{self.room.name}" is already calibrated, and calibrated coefficients hide '
@@ -690,9 +689,9 @@ class PositionsCase:
             raise DataError(
                 f'room "{self.room.name}" has sigma = 0 everywhere; one must be above 0'
             )
-        put("faces", of_room.of_geometry(self.geometry, self.surfaces))
+        put(self, faces=of_room.of_geometry(self.geometry, self.surfaces))
 
-    def _leave_out(self, run: Measurement, put: Callable[[str, object], None]) -> list[str]:
+    def _leave_out(self, run: Measurement) -> list[str]:
         """Leave out what run or measurement lacks (`Run.beside`); return notes of it."""
         whole, frequencies = self.measured, self.room.centre_frequencies
         if not np.array_equal(run.centre_frequencies, frequencies):
@@ -708,10 +707,10 @@ class PositionsCase:
             for name, key in keys.items()
             if key in both.measured.values or key not in of_either  # which a later note says
         ]
-        put("match", tuple(kept))
-        put("measured", both.measured)
-        put("simulated", both.run)
-        put("exclude", tuple(pair for pair in self.exclude if pair in both.measured.pairs))
+        put(self, match=tuple(kept))
+        put(self, measured=both.measured)
+        put(self, simulated=both.run)
+        put(self, exclude=tuple(pair for pair in self.exclude if pair in both.measured.pairs))
         of_bands = bands.notes(whole.centre_frequencies, frequencies, "What was measured")
         return [*both.left_out((*keys.values(),)), *map(as_sentence, of_bands)]
 
@@ -849,16 +848,15 @@ class StatesCase:
     """Sentences on what only one state has, on converted values, and on origins of uncertainties."""
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
         checks.instance("room", self.room, Room)
         checks.instance("before", self.before, Measurement).refuse_other_units()
         checks.instance("after", self.after, Measurement).refuse_other_units()
         checks.instance("equation", self.equation, LinearEquation)
-        put("climate_uncertainty", _checked_climate_uncertainty(self.climate_uncertainty))
+        put(self, climate_uncertainty=_checked_climate_uncertainty(self.climate_uncertainty))
         if self.room.air is None and self.climate_uncertainty != CLIMATE_UNCERTAINTY:
             raise DataError("climate_uncertainty is given, but the room has no air")
-        notes = self._compare_pairs(put)
-        put("notes", (*notes, *self._compare_times(put)))
+        notes = self._compare_pairs()
+        put(self, notes=(*notes, *self._compare_times()))
         if self.simulator is not None:
             checks.instance("simulator", self.simulator, PathTracing)
             if self.simulator.room is not self.room:
@@ -867,7 +865,7 @@ class StatesCase:
                 pair = " to ".join(lacking[0])
                 raise DataError(f"the pair {pair} was measured, but the simulator does not have it")
 
-    def _compare_pairs(self, put: Callable[[str, object], None]) -> list[str]:
+    def _compare_pairs(self) -> list[str]:
         """Set ``states``; return notes on bands and pairs that one lacks."""
         two = {"before": self.before, "after": self.after}
         states = {n: m.in_bands(self.room.centre_frequencies) for n, m in two.items()}
@@ -883,7 +881,7 @@ class StatesCase:
                 "before and after have no source-receiver pair in common: they have "
                 f"{' and '.join(each)}. Name the same positions alike"
             )
-        put("states", tuple(m.select(pairs) for m in states.values()))
+        put(self, states=tuple(m.select(pairs) for m in states.values()))
         of_bands = {n: "; ".join(notes_of_bands(self.room, m)) for n, m in two.items()}
         if of_bands["before"] == of_bands["after"]:
             of_bands = {"before and after": of_bands["before"]}
@@ -893,7 +891,7 @@ class StatesCase:
                 notes.append(f"Only {name} has {first_of(others, 1)}: left out.")
         return notes
 
-    def _compare_times(self, put: Callable[[str, object], None]) -> list[str]:
+    def _compare_times(self) -> list[str]:
         """Set ``times``, ``change`` and ``variance``; return notes on pairs and uncertainties."""
         frequencies, shape = self.room.centre_frequencies, (len(self.pairs), self.room.n_bands)
         change, variance = np.full((2, *shape), np.nan)
@@ -923,7 +921,7 @@ class StatesCase:
             labels = " or ".join(parameter_label(o.key) for o in REVERBERATION)
             raise DataError(f"before and after have no {labels} in a common band of the room")
         for name, of in (("times", times), ("change", change), ("variance", variance)):
-            put(name, read_only(of))
+            put(self, **{name: read_only(of)})
         notes = []
         if empty := np.flatnonzero(np.isnan(change).all(axis=1)).tolist():
             without = first_of([" to ".join(self.pairs[i]) for i in empty], 3)

@@ -38,7 +38,7 @@ from rtcal.finder.model import (
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import rounded, shortened
-from rtcal.support.types import Array, read_only_view
+from rtcal.support.types import Array, put, read_only_view
 
 Parameters = Mapping[str, float]
 Limits = Mapping[str, tuple[float, float]]
@@ -1199,7 +1199,7 @@ class AppliedEffect:
             effect = next((e for e in library() if e.name == name), None)
             if effect is None:
                 raise DataError(f'effect "{name}" is not in rtcal\'s library')
-            object.__setattr__(self, "effect", effect)
+            put(self, effect=effect)
         for name, value in checks.mapped("effect: parameters", self.parameters).items():
             checks.number(f"effect: parameters[{name!r}]", value)
         if self.size_interval is not None:

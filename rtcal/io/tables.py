@@ -79,7 +79,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of, wrapped
 from rtcal.support.text import table as table_lines
-from rtcal.support.types import Array, Paths
+from rtcal.support.types import Array, Paths, put
 
 __all__ = ["measurement", "read", "write"]
 __dir__ = __all__.copy
@@ -158,9 +158,9 @@ class _Options:
                 checks.whole(name, getattr(self, name), 1)
         checks.flag("repeats", self.repeats)
         checks.text("columns", self.columns)
-        object.__setattr__(self, "where", checks.text_by_name("where", self.where))
+        put(self, where=checks.text_by_name("where", self.where))
         sheets = [self.sheets] if isinstance(self.sheets, str) else self.sheets
-        object.__setattr__(self, "sheets", checks.texts("sheets", sheets))
+        put(self, sheets=checks.texts("sheets", sheets))
 
     @property
     def counts(self) -> dict[str, float]:

@@ -59,7 +59,7 @@ from rtcal.support import checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError, SimulatorError
 from rtcal.support.text import as_sentence, shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 
 PARAMETERS = (TARGET.key, EARLY.key)
 Weights = Mapping[str, float | Sequence[float]]
@@ -83,7 +83,7 @@ class Matched:
     def __post_init__(self) -> None:
         for name in ("measured", "shares"):
             values = {p: read_only(v) for p, v in getattr(self, name).items()}
-            object.__setattr__(self, name, values)
+            put(self, **{name: values})
 
     @property
     def label(self) -> str:
@@ -220,17 +220,17 @@ class Step:
 
     def __post_init__(self) -> None:
         alpha = checks.shaped("step: alpha", self.alpha, "n_materials", "n_bands")
-        object.__setattr__(self, "alpha", alpha)
+        put(self, alpha=alpha)
 
         def by_band(name: str, values: object) -> Array:
             return checks.shaped(f"step: {name}", values, alpha.shape[1])
 
         for name in ("target", "simulated", "noise"):
-            object.__setattr__(self, name, by_band(name, getattr(self, name)))
+            put(self, **{name: by_band(name, getattr(self, name))})
         means = checks.mapped("step: means", self.means)
         named = {checks.text("step: a parameter of means", p): v for p, v in means.items()}
         means = {p: by_band(f"means[{checks.shown(p)}]", v) for p, v in named.items()}
-        object.__setattr__(self, "means", means)
+        put(self, means=means)
 
 
 @dataclass(frozen=True, eq=False)

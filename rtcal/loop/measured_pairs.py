@@ -65,7 +65,7 @@ from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.speed import Progress
 from rtcal.support.text import as_sentence
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, put, read_only
 from rtcal.support.workers import workforce
 
 Pair = tuple[str, str]
@@ -666,10 +666,9 @@ class ControlRuns:
     more_paths: int = 1
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-        put("parameters", checks.texts("parameters", self.parameters))
-        put("pairs", checks.pairs("pairs", self.pairs))
-        put("models", checks.texts("models", self.models))
+        put(self, parameters=checks.texts("parameters", self.parameters))
+        put(self, pairs=checks.pairs("pairs", self.pairs))
+        put(self, models=checks.texts("models", self.models))
         checks.whole("more_paths", self.more_paths, 1)
         shape = ("n_runs", len(self.parameters), len(self.pairs), "n_bands")
         errors = checks.shaped("errors", self.errors, *shape)
@@ -678,9 +677,9 @@ class ControlRuns:
                 f"the errors of {len(errors)} runs are given; they must be finite, and of at "
                 "least 2 runs"
             )
-        put("errors", errors)
+        put(self, errors=errors)
         if self.levels is not None:
-            put("levels", checks.shaped("levels", self.levels, len(errors)))
+            put(self, levels=checks.shaped("levels", self.levels, len(errors)))
             if len(self.models) != len(errors):
                 raise DataError(
                     f"models has {len(self.models)} texts; give one for each of the "

@@ -37,7 +37,7 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +63,7 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
-from rtcal.support.types import Array
+from rtcal.support.types import Array, put
 
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
@@ -138,8 +138,6 @@ class MeasuredModes:
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        put = partial(object.__setattr__, self)
-
         def require(name: str, good: NDArray[np.bool_], found: Array, rule: str) -> None:
             if not good.all():
                 bad = int(np.argmin(good))
@@ -149,11 +147,11 @@ class MeasuredModes:
         if n == 0:
             raise DataError("frequencies is empty; give at least one mode")
         if self.frequency_uncertainty is None:
-            put("frequency_uncertainty", np.full(n, 0.01))
+            put(self, frequency_uncertainty=np.full(n, 0.01))
         for name in _NUMBERS:
             values = checks.shaped(name, getattr(self, name), n)
             require(name, np.isfinite(values) & (values > 0), values, "must be finite and above 0")
-            put(name, values)
+            put(self, **{name: values})
         for name, found, (low, high), unit in (
             ("frequencies", self.frequencies, _SINGLE, "Hz"),
             ("decays", self.decay_times, LIMITS, "s (6.91 / delta)"),
@@ -163,8 +161,8 @@ class MeasuredModes:
             require(name, good, found, f"{rule}check the unit")
         rising = np.diff(self.frequencies, prepend=0.0) > 0
         require("frequencies", rising, self.frequencies, "Hz must be above the frequency before it")
-        put("largest", checks.between("largest", self.largest, 0, np.inf, "Hz"))
-        put("notes", tuple(checks.listed("notes", self.notes)))
+        put(self, largest=checks.between("largest", self.largest, 0, np.inf, "Hz"))
+        put(self, notes=tuple(checks.listed("notes", self.notes)))
         if self.amplitudes is not None:
             try:
                 amplitudes = np.array(self.amplitudes, dtype=complex)
@@ -175,7 +173,7 @@ class MeasuredModes:
                     f"amplitudes has shape {amplitudes.shape}; with {n} modes it must be "
                     f"({n}, n_pairs), and finite"
                 )
-            put("amplitudes", amplitudes)
+            put(self, amplitudes=amplitudes)
         if self.calculated is not None:
             own = checks.shaped("calculated", self.calculated, n)
             if len(np.unique(own)) < n or not ((own >= 0) & (own % 1 == 0) & (own < 2**31)).all():
@@ -183,7 +181,7 @@ class MeasuredModes:
                     f"calculated must have {n} different whole numbers of 0 or more, one "
                     "for each measured mode"
                 )
-            put("calculated", own.astype(int))
+            put(self, calculated=own.astype(int))
 
     def __repr__(self) -> str:
         f = self.frequencies

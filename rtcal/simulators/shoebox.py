@@ -40,7 +40,7 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array, read_only_view
+from rtcal.support.types import Array, put, read_only_view
 
 Point = Sequence[float]
 
@@ -105,7 +105,7 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         )
         for values in made[:4]:
             values.setflags(write=False)
-        object.__setattr__(self, "box", made)
+        put(self, box=made)
 
     @property
     @abstractmethod
@@ -270,7 +270,7 @@ class ImageSource(ShoeboxSimulator):
                 "shorter duration"
             )
         positions = product(self.box.sources, self.box.receivers)
-        object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
+        put(self, images=tuple(self._images(s, r) for s, r in positions))
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
         """Return energy decays for coefficients ``alpha``, and the width of their time bins in s.
@@ -495,7 +495,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
             )
         positions = product(self.box.sources, self.box.receivers)
         networks = (_network(self.box.dimensions, s, r, rate) for s, r in positions)
-        object.__setattr__(self, "networks", tuple(networks))
+        put(self, networks=tuple(networks))
 
     @property
     def name(self) -> str:

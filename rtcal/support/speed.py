@@ -139,10 +139,11 @@ def bar(
     ended = threading.Event()
     unseen = tqdm(total=count, unit=unit, file=io.StringIO(), bar_format=_IN_WORDS)
 
-    said = [0]  # finished steps in the last line
+    printed: int | None = None  # finished steps in the last line
 
     def state() -> str:
-        said.append(unseen.n)
+        nonlocal printed
+        printed = unseen.n
         return str(unseen).replace(f" of 1 {unit}s", f" of 1 {unit}").replace(", about ? left", "")
 
     def log() -> None:
@@ -158,7 +159,7 @@ def bar(
     finally:
         ended.set()
         logger.join()
-        if len(said) > 1 and unseen.n > said[-1]:
+        if printed is not None and unseen.n > printed:
             say(state().replace(", about 00:00 left", ""))
         unseen.close()
 
